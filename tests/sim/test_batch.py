@@ -8,8 +8,7 @@ import pytest
 from mujoco import rollout
 
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.log import Log
-from surefoot.sim.physics.stepper import at_time_of_rates, rotation
+from surefoot.sim.physics.stepper import at_time_of_rates
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import Fallen, plan, simulate_motion, walk
@@ -25,11 +24,6 @@ ROUGH = Scenario(
     "rough",
     (Segment(1.0, 0.5),),
     Ground(0.7, (), 20.0, (Strip((0.6, 0.0), (3.0, 0.0), 4.0, rough=0.03),)),
-)
-CLIFF = Scenario(
-    "cliff",
-    (Segment(4.0, 0.8),),
-    Ground(0.8, (), 30.0, (Strip((-2.0, 0.0), (0.7, 0.0), 3.0, (1.5, 1.5)),)),
 )
 
 
@@ -50,15 +44,6 @@ def test_a_batch_gives_the_bits_of_walks_alone():
         beside = logs[job.scenario.name, job.robot, job.seed]
         assert alone.frame.equals(beside.frame)
         assert alone.meta == beside.meta
-
-
-def test_a_fall_is_a_result_and_not_the_end_of_the_batch():
-    jobs = [Job(CLIFF, "spot_class", 0), Job(FLAT, "spot_class", 0)]
-    falls = {w.job.scenario.name: w.log for w in on_threads(jobs, walk_job, 2)}
-    fall = falls["cliff"]
-    assert isinstance(fall, Fallen)
-    assert 3.0 < fall.time < 9.0
-    assert isinstance(falls["flat"], Log)
 
 
 def test_progress_never_falls_and_ends_at_one():
@@ -96,15 +81,6 @@ def test_the_recorded_torques_replay_to_the_same_states_in_the_bare_engine():
     qpos = at_time_of_rates(qpos, qvel)
     assert np.array_equal(qpos[:, :3], motion.p_GB[1:])
     assert np.array_equal(qpos[:, made.world.qpos_adr], motion.q[1:])
-
-
-def test_rotation_is_that_of_mujoco():
-    rng = np.random.default_rng(0)
-    for q in rng.normal(size=(20, 4)):
-        q /= np.linalg.norm(q)
-        R = np.empty(9)
-        mujoco.mju_quat2Mat(R, q)
-        np.testing.assert_allclose(rotation(*q), R.reshape(3, 3), atol=1e-15)
 
 
 def test_a_walk_that_goes_wrong_numerically_is_a_fall(tmp_path, monkeypatch):

@@ -1,12 +1,12 @@
 """Courses: ramps, integrals, laps, and courses carried to a robot of another size."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from ground_course import whole_course
 
+from studies.measured import measured_folder
 from surefoot.sim.gait.course import ACCELERATION, TURN_ACCELERATION
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.robot import Robot
@@ -37,11 +37,6 @@ def test_pose_is_the_integral_of_the_velocity():
     np.testing.assert_allclose(step[:, 2], turn, atol=1e-12)
 
 
-def test_a_turn_that_starts_and_ends_straight_turns_by_its_angle():
-    corner = (Segment(2, 0.8), Segment(np.pi / 2 / 0.6, 0.5, turn=0.6), Segment(2, 0.8))
-    assert whole_course(corner, DT, 1.0).pose[-1, 2] == pytest.approx(np.pi / 2, abs=0.003)
-
-
 def test_laps_of_a_square_close():
     side = (Segment(5, 0.8), Segment(np.pi / 2 / 0.6, 0.5, turn=0.6))
     course = whole_course(side * 4, DT, 1.0, laps=2)
@@ -49,23 +44,6 @@ def test_laps_of_a_square_close():
     assert len(course.t) - len(one.t) == pytest.approx(4 * (5 + np.pi / 2 / 0.6) / DT, abs=4)
     # What is left is the run-out of the last stop.
     assert np.abs(course.pose[-1, :2]).max() < 1.5
-
-
-MENAGERIE = Path(__file__).resolve().parents[3] / "shared" / "models"
-
-
-"""Robots that others drew: no part of this repository."""
-
-
-TORQUES = {
-    "anybotics_anymal_b/anymal_b": 40.0,
-    "anybotics_anymal_c/anymal_c": 80.0,
-    "unitree_a1/a1": 33.5,
-    "unitree_go1/go1": 35.55,
-}
-
-
-"""N m, the largest force range of their position servos, whose control ranges are angles."""
 
 
 SPOT = Robot.load("spot_class")
@@ -124,17 +102,18 @@ def test_its_own_robot_and_one_of_no_other_walk_it_as_written():
 @pytest.mark.parametrize(
     "name",
     [
-        *list(TORQUES)[:1],
-        *(pytest.param(name, marks=pytest.mark.long) for name in list(TORQUES)[1:]),
+        "anybotics_anymal_b/anymal_b",
+        pytest.param("anybotics_anymal_c/anymal_c", marks=pytest.mark.long),
+        pytest.param("unitree_a1/a1", marks=pytest.mark.long),
+        pytest.param("unitree_go1/go1", marks=pytest.mark.long),
     ],
 )
-def test_robots_of_the_menagerie_walk_the_demo_s_hardest_course(name):
+def test_robots_that_others_drew_walk_the_demo_s_hardest_course(name):
     """Turns, a stop and ice, drawn for legs of 0.66 m; at that size those of 0.4 m fall on it."""
-    file = MENAGERIE / f"{name}.xml"
+    file = measured_folder().parent / "models" / f"{name}.xml"
     if not file.is_file():
         pytest.skip(f"no {file}")
     robot = Robot.load(file)
-    assert robot.torque_limit.max() == TORQUES[name]
     whole = Scenario.load("demo/calibrate")
     log = walk(replace(whole, laps=1), robot, seed=0)
     assert log.slip.max() > 0.2

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from dm_env import test_utils
 from processes import printed
+from refusals import refused
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import Controller, tick
 from surefoot.sim.gait.state import RobotState, standing
@@ -49,13 +49,8 @@ def the_trot(made):
         R = rotation(*seen["orientation"])
         base = BaseMotion(seen["position"], R, seen["velocity"], seen["angular_velocity"])
         q, dq, load = seen["joint_position"], seen["joint_velocity"], seen["foot_force"]
-        tick(
-            SPOT.legs,
-            controller,
-            RobotState(made.course.t[i], base, q, dq, load),
-            targets[i],
-            torque,
-        )
+        state = RobotState(made.course.t[i], base, q, dq, load)
+        tick(SPOT.legs, controller, state, targets[i], torque)
         return torque
 
     return policy
@@ -119,13 +114,10 @@ def test_another_seed_draws_another_walk_and_the_same_one_repeats_it():
 def test_bad_actions_and_early_logs_are_refused():
     env = WalkingEnvironment(COURSE, SPOT)
     env.reset()
-    with pytest.raises(SurefootError, match="no step yet"):
-        env.log()
+    refused("no step yet", env.log)
     for bad in (np.zeros(11), np.full(12, np.nan)):
-        with pytest.raises(SurefootError, match="12 finite numbers"):
-            env.step(bad)
-    with pytest.raises(SurefootError, match="torque or position"):
-        WalkingEnvironment(COURSE, SPOT, actions="speed")  # type: ignore[arg-type]
+        refused("12 finite numbers", env.step, bad)
+    refused("torque or position", WalkingEnvironment, COURSE, SPOT, actions="speed")
     assert isinstance(env, dm_env.Environment)
 
 

@@ -58,23 +58,17 @@ def listed(draft: Draft) -> str:
 KNOWN = [
     # name, kind, source
     ("ang_vel_0", "gyro", ""),
-    ("base_ang_vel[1]", "gyro", ""),
-    ("imu_ang_vel_x", "gyro", ""),
     ("root_ang_vel_b[0]", "gyro", ""),
     ("root_ang_vel_w[0]", "ref_v", ""),
     ("imu_state.gyroscope[2]", "gyro", ""),
     ("body_rate_z", "gyro", ""),
     ("omega_filtered_x", "gyro", "filtered"),
-    ("ekf_omega_x", "gyro", "estimate"),
     ("gyro_bias_x", "gyro", "bias"),
     ("est_gyro_bias_x", "gyro", "bias"),
     ("/odom:twist.twist.angular.x", "gyro", "estimate"),
     ("/cmd_vel:angular.z", "gyro", "command"),
-    ("/imu/data:angular_velocity.x", "gyro", ""),
     ("angular_acceleration_x", "other", ""),
     ("lin_acc_x", "accel", ""),
-    ("imu_state.accelerometer[0]", "accel", ""),
-    ("accel_bias_x", "accel", "bias"),
     ("projected_gravity_0", "other", ""),
     ("gyro_temperature", "other", ""),
     ("base_lin_vel_x", "ref_v", ""),
@@ -82,8 +76,6 @@ KNOWN = [
     ("FL_foot_vel_x", "other", ""),
     ("dof_pos_3", "q", ""),
     ("joint_pos[3]", "q", ""),
-    ("motor_state[3].q", "q", ""),
-    ("FL_hip_ang", "q", ""),
     ("default_dof_pos_3", "q", "parameter"),
     ("joint_pos_target[3]", "q", "command"),
     ("q_ref_3", "q", "command"),
@@ -92,22 +84,16 @@ KNOWN = [
     ("dof_vel_3", "dq", ""),
     ("FL_hip_omega", "dq", ""),
     ("dof_acc_3", "other", ""),
-    ("motor_state[3].ddq", "other", ""),
-    ("torques_3", "tau", ""),
     ("applied_torque[3]", "tau", ""),
     ("motor_state[3].tau_est", "tau", "estimate"),
     ("contact_forces_z_FL", "force", ""),
     ("/FL_foot_force:wrench.force.z", "force", ""),
-    ("foot_force[0]", "force", ""),
     ("foot_force_est[0]", "force", "estimate"),
     ("feet_contact[0]", "contact", ""),
     ("vicon_pos_x", "ref_p", "reference"),
     ("quat_wxyz_0", "ref_q", ""),
     ("imu_timestamp", "t", ""),
-    ("timestamp_gyro", "t", ""),
     ("contact_time_FL", "t", ""),
-    ("Gyro X (rad/sec)", "gyro", ""),
-    ("sec", "t", ""),
 ]
 
 
@@ -127,10 +113,7 @@ IMUS = {
     "an estimate beside it": ({"gyro": GYRO, "gyro_ekf": TRIPLE}, "gyro_0"),
     "a bias beside it": ({"gyro_bias": TRIPLE, "gyro": GYRO}, "gyro_0"),
     "a set point beside it": ({"ang_vel_cmd": TRIPLE, "ang_vel": GYRO}, "ang_vel_0"),
-    "axes of the world beside it": (
-        {"root_ang_vel_w": TRIPLE, "root_ang_vel_b": GYRO},
-        "root_ang_vel_b_0",
-    ),
+    "axes of the world beside it": ({"ang_vel_w": TRIPLE, "ang_vel_b": GYRO}, "ang_vel_b_0"),
     "joints beside it": ({"ang_vel": GYRO, "dof_vel": RATES, "dof_pos": ANGLES}, "ang_vel_0"),
     "a filtered copy": ({"gyro_lpf": TRIPLE, "gyro_raw": GYRO}, "gyro_raw_0"),
 }
@@ -165,9 +148,7 @@ def test_two_imus_are_drafted_with_a_question(tmp_path):
 @pytest.mark.parametrize("name", ["{leg}_{part}", "{leg}_{part}_joint", "joints/{leg}_{part}"])
 def test_bare_names_of_joints_are_angles_and_asked_about(tmp_path, robot, name):
     names = [name.format(leg=joint[:2], part=joint[3:]) for joint in JOINTS]
-    frame = pd.DataFrame(dict(zip(["t", *names], [T, *ANGLES.T], strict=True)))
-    frame.to_csv(tmp_path / "run.csv", index=False)
-    draft = guess_map([tmp_path / "run.csv"], robot)
+    draft = drafted_table(tmp_path, robot, t=T, **dict(zip(names, ANGLES.T, strict=True)))
     found = {e.name: (e.theirs, bool(e.doubt)) for e in draft.main}
     assert found == {"t": ("t", False)} | {
         f"q_{joint}": (n, True) for joint, n in zip(JOINTS, names, strict=True)
@@ -216,9 +197,8 @@ def test_angles_beyond_the_limits_are_asked_about(tmp_path):
     notes = drafted_table(tmp_path, "spot_class", t=T, **named).notes
     assert [note for note in notes if "FL_calf" in note and "limits" in note]
     named["q_FL_calf"] = ANGLES[:, 2]
-    assert not [
-        n for n in drafted_table(tmp_path, "spot_class", t=T, **named).notes if "limits" in n
-    ]
+    notes = drafted_table(tmp_path, "spot_class", t=T, **named).notes
+    assert not [note for note in notes if "limits" in note]
 
 
 def test_names_that_the_robot_has_not_are_asked_about(tmp_path):
@@ -252,11 +232,9 @@ def test_forces_of_the_feet_are_understood_along_z(tmp_path, name, place):
     ("name", "step", "unit", "slow"),
     [
         ("time_s", 1.0, "s", True),
-        ("time_s", 0.2, "s", True),
         ("time", 0.2, "s", True),
         ("time_ms", 200.0, "ms", True),
         ("t [us]", 5e3, "us", False),
-        ("stamp_ns", 1e7, "ns", False),
         ("elapsed_s", 0.02, "s", False),
     ],
 )
@@ -277,32 +255,11 @@ def test_a_text_without_header_may_have_words_in_it(tmp_path, header, word):
     assert {"0": "0", "stamp": "stamp"}["stamp" if header else "0"] == draft.main[0].theirs
 
 
-def test_columns_without_a_number_are_left_out_and_listed(tmp_path):
-    named = {
-        f"{kind}_{joint}": values[:, k]
-        for kind, values in (("q", ANGLES), ("dq", np.nan * RATES))
-        for k, joint in enumerate(JOINTS)
-    }
-    draft = drafted_table(tmp_path, t=T, **named)
-    assert {e.name for e in draft.main} == {"t", *(f"q_{joint}" for joint in JOINTS)}
-    assert "dq_FL_hip" in listed(draft)
-
-
 def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
     arrays = {
         f"{word}_{k}": TRIPLE
         for k in range(9)
-        for word in (
-            "ekf_omega",
-            "debug",
-            "kp",
-            "temp",
-            "q_des",
-            "acc_bias",
-            "pos_world",
-            "dq_filt",
-            "spare",
-        )
+        for word in "ekf_omega debug kp temp q_des acc_bias pos_world dq_filt spare".split()
     }
     draft = drafted_table(tmp_path, t=T, gyro=GYRO, acc=ACCEL, note=np.full(N, np.nan), **arrays)
     lines = listed(draft).splitlines()
@@ -313,11 +270,8 @@ def test_what_is_not_used_fits_on_ten_lines_with_its_reasons(tmp_path):
 def test_position_beside_a_quaternion_is_a_pose(tmp_path):
     half = 0.5 * np.linspace(2.6, 4.0, N)  # a marker that points backwards
     zero = np.zeros(N)
-    pose = {
-        "position": 1e3 * TRIPLE,
-        "quaternion": np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
-    }
-    np.savez(tmp_path / "mocap.npz", t=T, **pose)  # pyright: ignore[reportArgumentType]
+    q = np.column_stack([np.cos(half), zero, zero, np.sin(half)])
+    np.savez(tmp_path / "mocap.npz", t=T, position=1e3 * TRIPLE, quaternion=q)
     np.savez(tmp_path / "run.npz", t=T, gyro=GYRO, accel=ACCEL, joint_pos=ANGLES, joint_vel=RATES)
     draft = guess_map([tmp_path / "run.npz", tmp_path / "mocap.npz"], "spot_class")
     found = theirs(draft)

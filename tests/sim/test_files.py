@@ -36,19 +36,13 @@ def fill(folder, texts, command="make", force=True):
             (made / name).write_text(text)
 
 
-def test_force_is_named_as_the_caller_would_give_it(tmp_path):
-    path = tmp_path / "a.txt"
-    write(path, "one")
-    refused("give --force to overwrite it", write, path, "two", force=False)
-    refused("give force=True to overwrite it", refuse_overwrite, path, force=False)
-
-
 def test_force_replaces_what_the_same_command_made(tmp_path):
     path = tmp_path / "a.txt"
     write(path, "one")
     write(path, "two")
     assert path.read_text() == "two"
-    refused("give --force", write, path, "three", force=False)
+    refused("give --force to overwrite it", write, path, "three", force=False)
+    refused("give force=True to overwrite it", refuse_overwrite, path, force=False)
     refused("surefoot make made it", write, path, "three", command="other")
     path.write_text("edited")
     refused("was changed since it was made", write, path, "three")
@@ -84,14 +78,6 @@ def test_what_a_program_puts_in_its_place_stays_the_commands(tmp_path):
     assert (out / "report.html").read_text() == "2"
     assert not (out / "figures" / "a.png").exists()
     refused("surefoot make made it", write, path, "three", command="other")
-
-
-def test_folders_that_were_made_in_vain_go(tmp_path):
-    with suppress(RuntimeError), whole_file(tmp_path / "a" / "b" / "half"):
-        raise RuntimeError
-    with suppress(RuntimeError), whole_folder(tmp_path / "c" / "d" / "half"):
-        raise RuntimeError
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["log", "link", "hard", "folder/log", "sub/../log"])
@@ -156,13 +142,14 @@ def test_a_full_disk_is_said_of_the_file_that_could_not_be_written(tmp_path):
 
 
 def test_a_failed_run_leaves_nothing(tmp_path):
-    with suppress(RuntimeError), whole_folder(tmp_path / "a" / "out") as made:
+    """Nor the folders that it made for its output."""
+    with suppress(RuntimeError), whole_folder(tmp_path / "a" / "b" / "out") as made:
         (made / "half").write_text("half")
         raise RuntimeError
-    with suppress(RuntimeError), whole_file(tmp_path / "half") as temporary:
+    with suppress(RuntimeError), whole_file(tmp_path / "c" / "d" / "half") as temporary:
         temporary.write_text("half")
         raise RuntimeError
-    assert [p for p in tmp_path.rglob("*") if p.is_file()] == []
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_debris_of_a_killed_run_goes_with_the_next(tmp_path):

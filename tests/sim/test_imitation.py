@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from synthetic import without
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
@@ -87,5 +87,4 @@ def test_gaps_in_the_reference_are_not_walked(robot, shown):
     hidden["ref_ok"] = ((log.t < 2.0) | (log.t > 6.0)).astype(float)
     assert len(body_twists(replace(log, frame=hidden))) == len(body_twists(log)) - 4
     hidden["ref_ok"] = (log.t < 1.5).astype(float)
-    with pytest.raises(SurefootError, match="covers less than 3 s"):
-        walking_style(replace(log, frame=hidden), robot)
+    refused("covers less than 3 s", walking_style, replace(log, frame=hidden), robot)

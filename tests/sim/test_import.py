@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from refusals import refusal, refused
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from studies.measured import measured_folder
 from surefoot.sim.importing.assemble import _rate
@@ -18,12 +18,9 @@ from surefoot.sim.importing.map_catalog import bundled_maps, map_file
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.table import column_readings
 from surefoot.sim.importing.recording import import_log
-from surefoot.sim.importing.reference import interpolate_reference
-from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import EVENNESS, Source
-from surefoot.sim.log import JOINTS, Log
+from surefoot.sim.log import JOINTS
 from surefoot.sim.robot.catalog import robot_file
-from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.sensors.stances import contact_from_force
 
 MEASURED = measured_folder()
@@ -108,11 +105,6 @@ def edited(folder: Path, file: str, old: str, new: str) -> None:
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new, 1))
-
-
-def fault(folder: Path) -> str:
-    caught = refusal(import_log, folder, folder / "map.toml")
-    return caught
 
 
 PREFIXES = {"m": 1e-3, "c": 1e-2, "u": 1e-6, "n": 1e-9, "k": 1e3}
@@ -201,25 +193,9 @@ def test_rows_outside_are_cut_and_gaps_are_marked(folder):
     np.testing.assert_array_equal(log.ref_ok, ~inside_gap)
 
 
-def test_the_main_file_works_like_its_folder_and_the_log_is_readable(folder):
+def test_the_main_file_works_like_its_folder(folder):
     log = import_log(folder / "robot.csv", folder / "map.toml")
     pd.testing.assert_frame_equal(log.frame, import_log(folder, folder / "map.toml").frame)
-    log.write(folder / "log.parquet")
-    pd.testing.assert_frame_equal(Log.read(folder / "log.parquet").frame, log.frame)
-
-
-def test_interpolation_is_slerp_the_short_way():
-    rng = np.random.default_rng(3)
-    t = np.linspace(0.0, 1.0, 30)
-    q = Rotation.random(30, rng=rng).as_quat(scalar_first=True)
-    q[::2] *= np.sign(rng.normal(size=(15, 1)))
-    q[7] = -q[6]  # the same rotation under the other sign
-    now = np.linspace(0.0, 1.0, 997)
-    found = interpolate_reference(now, t, np.zeros((30, 3)), q)[1]
-    true = Slerp(t, Rotation.from_quat(q, scalar_first=True))(now)
-    apart = (Rotation.from_quat(found, scalar_first=True).inv() * true).magnitude()
-    assert apart.max() < 1e-7
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, atol=1e-12)
 
 
 @given(
@@ -243,7 +219,7 @@ def test_contact_is_the_state_machine_it_says(force, debounce):
 @pytest.mark.parametrize("name", ["go1_square", "go1_square.toml"])
 def test_a_bundled_map_is_known_by_its_name(name):
     assert map_file(name) == bundled_maps()["go1_square"]
-    refused(r"import map .*No such file", map_file, f"elsewhere/{name}")
+    refused(r"import map .*No such file; bundled are .*go1_square", map_file, f"elsewhere/{name}")
 
 
 @pytest.mark.parametrize("t", [[0.0, 0.01], [0.0, 0.01, 0.02, 0.09]])
@@ -255,40 +231,26 @@ def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
     ("file", "old", "new", "said"),
     [
         ("robot.csv", "wy,", "w2,", "robot.csv: column 'wy' is missing from the header"),
-        ("robot.csv", "wx,wy", "wy,wy", "robot.csv: column 'wx' is missing from the header"),
-        ("robot.csv", "\n8.0,", "\noops,", "column 'ms', line 6: 'oops' is not a number"),
         ("robot.csv", "\n8.0,", "\n\n8.0,", "line 6: NaN or empty"),
         ("mocap.csv", "\n0.2,200.0", "\n0.2,2;0", "column 'x', line 7: '2;0' is not a number"),
         ("mocap.csv", ",0.3,", ",0.3,3", "mocap.csv: line 2: not a unit quaternion"),
         ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g,"),
-        (
-            "map.toml",
-            "[contact]",
-            "[ground]\nevenness = -1\n[contact]",
-            "[ground] evenness must be",
-        ),
-        ("map.toml", "debounce", "bounce", "[contact] unknown key 'bounce'"),
         ("map.toml", "FL = 30, ", "", "[contact.off] FL is missing"),
         ("map.toml", "{ knee = -1 }", "{ ankle = -1 }", "[robot] joint 'ankle' has no column"),
         ("map.toml", "kp = { knee", "kp = { ankle", "[motor_law.kp] unknown key 'ankle'"),
         ("map.toml", 'ref_p_y = "y"\n', "", "[reference.columns] ref_p_y is missing"),
         ("map.toml", 'frame = "base"', 'frame = "world"', "[reference] frame must be one of"),
-        ("map.toml", '"mocap.csv"', '"vicon.csv"', "vicon.csv: No such file"),
     ],
 )
 def test_faults_are_one_line_with_file_and_place(folder, file, old, new, said):
     edited(folder, file, old, new)
-    assert said in fault(folder)
+    assert said in refusal(import_log, folder, folder / "map.toml")
 
 
-def test_no_file_no_map_no_overlap(folder):
-    refused("No such file", import_log, folder / "nowhere.csv", folder / "map.toml")
-    refused(
-        r"import map .*No such file; bundled are .*go1_square", import_log, folder, "go7_square"
-    )
+def test_a_reference_of_another_time_is_refused(folder):
     mocap = pd.read_csv(folder / "mocap.csv")
     mocap.assign(time=mocap["time"] + 50.0).to_csv(folder / "mocap.csv", index=False)
-    assert "do not overlap" in fault(folder)
+    refused("do not overlap", import_log, folder, folder / "map.toml")
 
 
 def test_a_recording_without_stamps_takes_the_rate_of_its_map(tmp_path):
@@ -359,35 +321,11 @@ def test_the_go1_recording_comes_in_whole():
     assert np.linalg.norm(log.accel[standing].mean(axis=0)) == pytest.approx(9.8, abs=0.2)
     walking = (log.t > 46.5) & (log.t < 63.0)
     # A trot: each foot stands about half of the time, on diagonal pairs.
-    assert (
-        (log.contact[walking].mean(axis=0) > 0.35) & (log.contact[walking].mean(axis=0) < 0.7)
-    ).all()
+    np.testing.assert_allclose(log.contact[walking].mean(axis=0), 0.525, atol=0.175)
     FL, FR, RL, RR = log.contact[walking].T
     assert np.mean(FL == RR) > 0.8
     assert np.mean(FL == FR) < 0.4
     assert np.mean(FR == RL) > 0.8
-
-
-@needs_measured
-def test_a_recording_without_imu_feet_or_stamps_is_a_log_too():
-    log = import_log(MEASURED / "go2_in_air", "go2_in_air")
-    assert log.joints == JOINTS
-    assert log.rate == 200.0
-    assert not log.has("imu")
-    # The columns agree with each other: the joints stay about their targets, at their speed.
-    np.testing.assert_allclose(log.q.mean(axis=0), log.q_des.mean(axis=0), atol=0.1)
-    assert np.corrcoef(np.gradient(log.q[:, 4], log.t), log.dq[:, 4])[0, 1] > 0.9
-
-
-@needs_measured
-def test_a_pendulum_log_has_one_joint():
-    file = MEASURED / "ak80_pendulum" / "pd_measured.csv"
-    log = import_log(file, "ak80_pendulum")
-    assert log.joints == ("shoulder",)
-    assert log.has("tau")
-    assert log.rate == pytest.approx(300.0, rel=1e-3)
-    assert machine_for_log(log).name == "ak80_pendulum"
-    assert not any(line.startswith(("robot:", "feet:")) for line in import_lines(log))
 
 
 def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
@@ -417,10 +355,3 @@ def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     refused(
         r"offset.* has none for 'robot' \(known: walk\)", import_log, folder, folder / "map.toml"
     )
-
-
-def test_a_column_takes_an_offset(folder):
-    before = import_log(folder, folder / "map.toml")
-    edited(folder, "map.toml", 'accel_z = "az"', 'accel_z = { column = "az", offset = 19.62 }')
-    after = import_log(folder, folder / "map.toml")
-    np.testing.assert_allclose(after.accel[:, 2], before.accel[:, 2] + 19.62)

@@ -119,7 +119,8 @@ class Wrong:
 XYZW = dict(zip([*POSE[4:], POSE[3]], POSE[3:], strict=True))
 QUARTER = Rotation.from_euler("z", 90, degrees=True)
 TILTED = Rotation.from_euler("zx", [40, 25], degrees=True)
-DEGREES = dict.fromkeys(JOINT_COLUMNS, float(np.degrees(1.0)))
+DEGREE = float(np.degrees(1.0))
+DEGREES = dict.fromkeys(JOINT_COLUMNS, DEGREE)
 WRONG = {
     "the clock, half corrected": Wrong(early=2.6, keys="offset = 2.0"),
     "offsets by recording": Wrong(early=0.4, keys="offset = { robot = -0.1, other = 2.0 }"),
@@ -171,9 +172,34 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
+GYRO, ACCEL = SENSORS[:3], SENSORS[3:]
+OTHER_AXIS = {"gyro_y": "'gyro_z'", "gyro_z": "'gyro_y'"}
+OTHER_AXIS |= {"accel_y": "'accel_z'", "accel_z": "'accel_y'"}
+ONE_CAUSE = {
+    "gyro in deg/s": Wrong(dict.fromkeys(GYRO, DEGREE)),
+    "gyro negated": Wrong(dict.fromkeys(GYRO, -1.0)),
+    "accelerometer in g": Wrong(dict.fromkeys(ACCEL, 1.0 / 9.80665)),
+    "accelerometer negated": Wrong(dict.fromkeys(ACCEL, -1.0)),
+    "accelerometer's z negated": Wrong({"accel_z": -1.0}),
+    "IMU turned about x": Wrong(imu=Rotation.from_euler("x", 90, degrees=True)),
+    "IMU turned about z": Wrong(imu=Rotation.from_euler("z", 180, degrees=True)),
+    "IMU mirrored": Wrong(entries=OTHER_AXIS),
+    "calves reversed": Wrong({name: -1.0 for name in JOINT_COLUMNS if name.endswith("calf")}),
+    "a thigh reversed": Wrong({"q_FR_thigh": -1.0, "dq_FR_thigh": -1.0}),
+    "an angle reversed": Wrong({"q_FR_thigh": -1.0}),
+    "quaternions of the inverse": Wrong(dict.fromkeys(POSE[4:], -1.0)),
+    "tracked body turned about y": Wrong(
+        mocap=rotated(right=Rotation.from_euler("y", 90, degrees=True))
+    ),
+    "tracked body turned about z": Wrong(
+        mocap=rotated(right=Rotation.from_euler("z", 30, degrees=True))
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG | ONE_CAUSE)
 def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
-    wrong = WRONG[case]
+    wrong = (WRONG | ONE_CAUSE)[case]
     frame = walked.frame.assign(**{n: x * walked.frame[n] for n, x in wrong.factors.items()})
     turned = np.column_stack([wrong.imu.apply(walked.gyro), wrong.imu.apply(walked.accel)])
     frame = (
@@ -201,6 +227,7 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
         assert lines, said
         text = pasted(text, lines)
     assert [one.line for one in found] == [], said
+    assert case not in ONE_CAUSE or len(said) == 1, said
     # The heading of a world is free; a point is given to a centimetre.
     walk_of = [np.linalg.norm(x - x[0], axis=1) for x in (walked.ref_p, log.ref_p)]
     assert walk_of[1] == pytest.approx(np.interp(log.t, walked.t, walk_of[0]), abs=0.06)
@@ -209,9 +236,8 @@ def test_all_advice_of_an_import_is_followed_at_once(tmp_path, walked, case):
 def test_advice_is_added_to_what_the_map_says(tmp_path):
     (tmp_path / "map.toml").write_text(
         "[columns]\nt = 't'\nq_knee = { column = 'a', unit = 'rad', sign = -1 }\ndq_knee = 'b'\n"
-        "q_ankle = { column = 'c', unit = 'deg' }\n"
-        "accel_x = 'ax'\naccel_y = { column = 'ay', unit = 'g' }\n"
-        "[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
+        "q_ankle = { column = 'c', unit = 'deg' }\naccel_x = 'ax'\n"
+        "accel_y = { column = 'ay', unit = 'g' }\n[even]\nheld = ['q']\nlate = { dq = 0.01 }\n"
         "[robot]\nname = 'ak80_pendulum'\njoint_sign = { knee = -1 }\n"
     )
     advice = (

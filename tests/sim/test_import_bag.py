@@ -5,15 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import EPOCH, IMU, Maker, write_bag
-from refusals import refusal, refused
-from written import written
+from recorded import imported
+from refusals import refusal
 
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.importing.guessing.recorded_file import recorded_files
 from surefoot.sim.importing.readers import bag
 from surefoot.sim.importing.readers.bag import read_bag
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import LEGS, Log
+from surefoot.sim.log import LEGS
 
 THEIRS = {
     "t": "/imu:header.stamp",
@@ -69,16 +67,9 @@ def messages(make: Maker):
             yield "/mocap", POSE, ns + 1_000, make.types[POSE](make.header(0), pose)
 
 
-@pytest.fixture
-def map_file(tmp_path):
-    return written(tmp_path / "map.toml", MAP)
-
-
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
-def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, kind):
-    log = import_log(write_bag(tmp_path / "run", kind, messages), map_file)
-    log.write(tmp_path / "log.parquet")
-    log = Log.read(tmp_path / "log.parquet")
+def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, kind):
+    log = imported(write_bag(tmp_path / "run", kind, messages), MAP)
     # From the second IMU sample, the first after a joint reading, to the last pose.
     assert log.t[0] == pytest.approx(0.005 - 1e-6, abs=2e-6)
     np.testing.assert_allclose(np.diff(log.t), 0.005, atol=1e-9)
@@ -98,7 +89,6 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
         ("/joints:position[knee]", "/legs:position[knee]", "no topic '/legs' (there are /imu"),
         ("/joints:position[knee]", "/joints:position[ankle]", "the messages have no such field"),
         ("/joints:position[knee]", "/joints:position[7]", "the messages have no such field"),
-        ("/joints:position[knee]", "/joints:torque", "the messages have no such field"),
         ("/joints:position[knee]", "/joints:position", "is not a number"),
         ("/joints:position[knee]", "position", "topic:field.path"),
         ("/joints:position[knee]", "/joints:a b", "cannot read the path"),
@@ -109,9 +99,8 @@ def test_every_kind_of_bag_gives_the_readings_that_went_in(tmp_path, map_file, k
     ],
 )
 def test_a_fault_is_one_line_that_names_it(tmp_path, old, new, said):
-    map_file = written(tmp_path / "map.toml", MAP.replace(old, new))
     bag = write_bag(tmp_path / "run", "sqlite3", messages)
-    assert said in refusal(import_log, bag, map_file)
+    assert said in refusal(imported, bag, MAP.replace(old, new))
 
 
 def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
@@ -119,25 +108,17 @@ def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
     seen, whole = [], bag._fields
 
     def counted(message, place=""):
-        if not place:
-            seen.append(type(message).__name__)
+        seen.extend([] if place else [type(message).__name__])
         return whole(message, place)
 
     monkeypatch.setattr(bag, "_fields", counted)
     path = write_bag(tmp_path / "run", "sqlite3", messages)
-    found = bag.read_bag(path)
+    found, topics = read_bag(path), {"/imu", "/joints", "/mocap"}
     assert len(seen) == len(set(seen)) == 3
-    assert (
-        {found.topic(one) for one in found.cells}
-        == {*found.stamps}
-        == {"/imu", "/joints", "/mocap"}
-    )
-    assert not found.skipped
+    assert {found.topic(one) for one in found.cells} == {*found.stamps} == topics
     again = read_bag(path, [*found.cells])
-    for topic, stamps in again.stamps.items():
-        np.testing.assert_array_equal(stamps, found.stamps[topic])
-    for name, values in again.cells.items():
-        np.testing.assert_array_equal(values, found.cells[name])
+    for name, values in (again.cells | again.stamps).items():
+        np.testing.assert_array_equal(values, (found.cells | found.stamps)[name])
 
 
 def frames(make: Maker):
@@ -190,13 +171,6 @@ def test_a_frame_that_is_not_there_is_named_with_those_that_are(tmp_path, topic)
     assert "/tf[odom->base]" in caught or topic == "/tf"
 
 
-def test_what_is_no_bag_is_said_in_one_line(tmp_path, map_file):
-    refused("No such file", import_log, tmp_path / "nothing.bag", map_file)
-    for name in ("noise.bag", "noise.mcap", "noise.db3"):
-        (tmp_path / name).write_bytes(b"noise" * 100)
-        assert name in refusal(import_log, tmp_path / name, map_file)
-
-
 @pytest.mark.parametrize("name", ["run", "bag"])
 def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, capsys, name):
     """`import bag --guess` too, where "bag" is no kind of file but its name."""
@@ -212,12 +186,3 @@ def test_topics_of_different_rates_are_drafted_together(tmp_path, monkeypatch, c
         'ref_p_x = { column = "/mocap:pose.position.x", unit = "m" }',
     ):
         assert f"\n{line}" in said
-
-
-def test_every_number_of_a_bag_has_a_column_and_stamps_of_its_own(tmp_path):
-    path = write_bag(tmp_path / "run", "mcap", messages)
-    (found,) = recorded_files(path, None)
-    assert (found.path, found.label) == (path, "run")
-    rates = read_bag(path, ["/imu:angular_velocity.x"]).cells["/imu:angular_velocity.x"]
-    assert len(rates) == len(found.columns["/imu:angular_velocity.x"])
-    np.testing.assert_allclose(found.columns["/imu:angular_velocity.x"], rates)

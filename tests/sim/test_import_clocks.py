@@ -1,16 +1,15 @@
 """Stamps that are wrong: each costs its row, is said, and changes no other; clocks that count from
 an epoch are rebased."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import csv, drafted
 from refusals import refusal, refused
 from written import written
 
-from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.recording import read_recording
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
@@ -77,7 +76,6 @@ def swapped() -> pd.DataFrame:
 
 ONE_BAD_STAMP = {
     "a sample that is repeated": (again(50), 0, "repeated"),
-    "samples that are repeated": (again(50, 51, 300), 0, "3 "),
     "a sample that is sent again later": (
         pd.concat([table()[:100], table()[90:95], table()[100:]], ignore_index=True), 0, "5 ",
     ),
@@ -179,9 +177,8 @@ def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):
     mocap.loc[200, "t"] = 0.0
     feet = pd.DataFrame({"t": STEP * np.arange(N), "on": 1.0})
     feet.loc[10, "t"] = 50.0
-    feet.to_csv(tmp_path / "feet.csv", index=False)
-    table().to_csv(tmp_path / "robot.csv", index=False)
-    mocap.to_csv(tmp_path / "mocap.csv", index=False)
+    for name, columns in (("feet", feet), ("robot", table()), ("mocap", mocap)):
+        csv(tmp_path, columns, f"{name}.csv")
     more = "x_on = 'feet:on'\n[sources.feet]\nfile = 'feet.csv'\nt = 't'\n"
     text = COLUMNS.replace("UNIT", "s") + more + REFERENCE.replace("OFFSET", "")
     found = read_recording(tmp_path / "robot.csv", written(tmp_path / "map.toml", text))
@@ -230,10 +227,10 @@ DRAFTED = {
 @pytest.mark.parametrize("case", DRAFTED)
 def test_one_bad_value_changes_no_other_entry_of_a_draft(tmp_path, case):
     frame, without = DRAFTED[case]
-    frame.to_csv(tmp_path / "robot.csv", index=False)
-    found = {e.name: (e.theirs, e.unit) for e in guess_map([tmp_path / "robot.csv"]).main}
-    table().to_csv(tmp_path / "good.csv", index=False)
-    good = {e.name: (e.theirs, e.unit) for e in guess_map([tmp_path / "good.csv"]).main}
+    found, good = (
+        {e.name: (e.theirs, e.unit) for e in drafted(tmp_path, columns).main}
+        for columns in (frame, table())
+    )
     assert found == {name: of for name, of in good.items() if name not in without}
 
 
@@ -244,10 +241,3 @@ def test_a_column_without_a_number_is_left_out_and_said(tmp_path):
     log, _ = read(tmp_path, table())
     assert "dq_knee" in log.frame
     refused(r"gyro_x.*NaN", read, tmp_path, table().assign(gyro_x=np.nan))
-
-
-def test_records_of_json_lose_single_rows_too(tmp_path):
-    records = again(50).to_dict("records")
-    (tmp_path / "robot.json").write_text(json.dumps(records))
-    (tmp_path / "map.toml").write_text(COLUMNS.replace("UNIT", "s"))
-    assert len(read_recording(tmp_path / "robot.json", tmp_path / "map.toml").log().t) == N

@@ -84,7 +84,6 @@ FORMS = {
     "semicolons": (
         lambda d: csv(d, READINGS, sep=";", decimal=","), f'[source]\ndecimal = ","\n{PLAIN}'),
     "spaces": (lambda d: csv(d, READINGS, sep=" "), PLAIN),
-    "tabs": (lambda d: csv(d, READINGS, sep="\t"), PLAIN),
     "no header": (
         lambda d: csv(d, READINGS, header=False), f"[source]\nheader = false\n{NUMBERED}"),
     "lists": (lambda d: csv(d, CELLS), LISTS),
@@ -147,8 +146,7 @@ def test_rows_with_empty_cells_are_those_of_the_gyro(tmp_path, seldom, often):
     t = 0.01 * np.arange(200)
     few, many = np.arange(200) % 8 == 1, np.arange(200) % 2 == 1
     table = {"t": t, seldom: np.where(few, t, np.nan), often: np.where(many, -t, np.nan)}
-    pd.DataFrame(table).to_csv(tmp_path / "run.csv", index=False)
-    (found,) = recorded_files(tmp_path / "run.csv", None)
+    (found,) = recorded_files(csv(tmp_path, table), None)
     np.testing.assert_allclose(found.columns["t"], t[many])
     np.testing.assert_allclose(found.columns[often], -t[many])
     np.testing.assert_allclose(found.columns[seldom][:-3], t[many][:-3])
@@ -161,18 +159,12 @@ def test_the_stamps_in_the_messages_of_a_bag_are_its_times_and_rise(tmp_path, mo
     cells = {"/legs:stamp": stamps, "/legs:knee": np.sin(T)}
     seen = RecordedTable(tmp_path / "run.bag", cells, "message", stamps={"/legs": received})
     monkeypatch.setattr(file_module, "read_bag", lambda path, columns: seen)
-    (tmp_path / "map.toml").write_text('[columns]\nt = "/legs:stamp"\nq_knee = "/legs:knee"\n')
-    log = import_log(tmp_path / "run.bag", tmp_path / "map.toml")
+    rules = '[columns]\nt = "/legs:stamp"\nq_knee = "/legs:knee"\n'
+    log = imported(tmp_path / "run.bag", rules)
     np.testing.assert_allclose(log.t, stamps)
     np.testing.assert_allclose(log.q[:, 0], np.sin(T))
-    stamps[7] = stamps[6]
-    stamps[8:20] = stamps[7]
-    refused(
-        r"run.bag.*'/legs:stamp', message 8: repeats",
-        import_log,
-        tmp_path / "run.bag",
-        tmp_path / "map.toml",
-    )
+    stamps[7:20] = stamps[6]
+    refused(r"run.bag.*'/legs:stamp', message 8: repeats", imported, tmp_path / "run.bag", rules)
 
 
 SEVERAL = """
@@ -198,19 +190,15 @@ long = { name = "foot", value = "state" }
 
 
 def test_files_of_other_rates_and_clocks_come_onto_the_rows_of_the_first(tmp_path):
-    (tmp_path / "map.toml").write_text(SEVERAL)
     t = 0.01 * np.arange(500)
     angle = 3.0 * np.sin(2.0 * t)
     counts = np.round((angle + 0.5) / (2.0 * np.pi) * 4096.0) % 4096
-    pd.DataFrame({"ms": 1e3 * t, "counts": counts}).to_csv(tmp_path / "robot.csv", index=False)
     fast = np.arange(-0.1, 5.1, 0.0025)
     rate = np.cos(2.0 * np.pi * 5.0 * fast)
-    imu = pd.DataFrame({"stamp": 1e6 * (fast + 100.0), "wx": rate, "az": 1.0})
-    imu.to_csv(tmp_path / "imu.txt", sep=" ", index=False)
-    (tmp_path / "events.csv").write_text(
-        "time,foot,state\n-1,left,down\n-1,right,up\n1.234,left,up\n1.234,right,down\n3.0,left,down\n"
-    )
-    log = import_log(tmp_path / "robot.csv", tmp_path / "map.toml")
+    csv(tmp_path, {"stamp": 1e6 * (fast + 100.0), "wx": rate, "az": 1.0}, "imu.txt", sep=" ")
+    rows = "-1,left,down\n-1,right,up\n1.234,left,up\n1.234,right,down\n3.0,left,down\n"
+    (tmp_path / "events.csv").write_text(f"time,foot,state\n{rows}")
+    log = imported(csv(tmp_path, {"ms": 1e3 * t, "counts": counts}), SEVERAL)
     assert log.rate == 100.0
     # Jumps by a turn are undone: the angle passes half a turn on either side.
     np.testing.assert_allclose(log.q[:, 0], angle, atol=1e-3)
@@ -225,16 +213,14 @@ def test_files_of_other_rates_and_clocks_come_onto_the_rows_of_the_first(tmp_pat
 
 def test_further_files_may_be_named_on_the_command_line_and_none_is_left_over(tmp_path):
     rules = SEVERAL.replace('file = "imu.txt"\n', "").replace('file = "events.csv"\n', "")
-    (tmp_path / "map.toml").write_text(rules)
-    (tmp_path / "a.csv").write_text("ms,counts\n0,1\n10,2\n20,3\n")
-    (tmp_path / "b.csv").write_text("stamp,wx,az\n99e6,0,1\n101e6,0,1\n")
-    (tmp_path / "c.csv").write_text("time,foot,state\n-1,left,up\n-1,right,up\n")
-    files = [tmp_path / f"{name}.csv" for name in "abc"]
-    assert len(import_log(files, tmp_path / "map.toml").t) == 3
-    refused(r"sources.events\] has no file", import_log, files[:2], tmp_path / "map.toml")
-    refused(
-        r"c.csv: .* has no use for this file", import_log, [*files, files[2]], tmp_path / "map.toml"
-    )
+    files = [
+        written(tmp_path / "a.csv", "ms,counts\n0,1\n10,2\n20,3\n"),
+        written(tmp_path / "b.csv", "stamp,wx,az\n99e6,0,1\n101e6,0,1\n"),
+        written(tmp_path / "c.csv", "time,foot,state\n-1,left,up\n-1,right,up\n"),
+    ]
+    assert len(imported(files, rules).t) == 3
+    refused(r"sources.events\] has no file", imported, files[:2], rules)
+    refused(r"c.csv: .* has no use for this file", imported, [*files, files[2]], rules)
 
 
 def test_a_reference_may_be_angles_in_a_world_with_y_up_and_from_world_to_body(tmp_path):
@@ -242,30 +228,26 @@ def test_a_reference_may_be_angles_in_a_world_with_y_up_and_from_world_to_body(t
     angles = np.column_stack([0.3 * np.sin(t), 0.2 * np.cos(t), t])
     R_GM = Rotation.from_euler("ZYX", angles[:, ::-1])
     p_G = np.column_stack([t, 0.5 * t, 0.3 + 0.0 * t])
-    frame = pd.DataFrame({"t": t, "q_knee": t, "x": p_G[:, 0], "y": p_G[:, 1], "z": p_G[:, 2]})
-    for k, name in enumerate(("roll", "pitch", "yaw")):
-        frame[name] = np.degrees(angles[:, k])
-    turned = Rotation.from_quat([np.sqrt(0.5), np.sqrt(0.5), 0, 0], scalar_first=True)
-    p_W = turned.inv().apply(p_G)
-    frame[["X", "Y", "Z"]] = p_W
+    R_GW = Rotation.from_quat([np.sqrt(0.5), np.sqrt(0.5), 0, 0], scalar_first=True)
+    p_W = R_GW.inv().apply(p_G)
     np.testing.assert_allclose(p_W[:, 1], 0.3)  # y is up
-    q_MW = (turned.inv() * R_GM).inv().as_quat(scalar_first=True)
-    frame[["qw", "qx", "qy", "qz"]] = q_MW
-    frame.to_csv(tmp_path / "run.csv", index=False)
-    columns = '[columns]\nt = "t"\nq_knee = "q_knee"\n[reference]\n{0}[reference.columns]\n'
-    columns += 't = "t"\n'
-    places = "".join(f'ref_p_{a} = "{{{a}}}"\n' for a in "xyz")
-    euler = "".join(
-        f'ref_{n} = {{{{ column = "{n}", unit = "deg" }}}}\n' for n in ("roll", "pitch", "yaw")
-    )
-    quaternion = "".join(f'ref_q_{a} = "q{a}"\n' for a in "wxyz")
-    for text_of_map in (
-        columns.format("") + (places + euler).format(x="x", y="y", z="z"),
-        columns.format("q_GW = [0.7071, 0.7071, 0.0, 0.0]\ninverse = true\n")
-        + places.format(x="X", y="Y", z="Z")
-        + quaternion,
+    q_MW = (R_GW.inv() * R_GM).inv().as_quat(scalar_first=True)
+    euler = ["ref_roll", "ref_pitch", "ref_yaw"]
+    quaternion = [f"ref_q_{a}" for a in "wxyz"]
+    world = "q_GW = [0.7071, 0.7071, 0.0, 0.0]\ninverse = true\n"
+    for keys, p, names, attitude in (
+        ("", p_G, euler, np.degrees(angles)),
+        (world, p_W, quaternion, q_MW),
     ):
-        log = imported(tmp_path / "run.csv", text_of_map)
+        names = [*(f"ref_p_{a}" for a in "xyz"), *names]
+        columns = dict(zip(names, np.column_stack([p, attitude]).T, strict=True))
+        rules = (
+            f"[columns]\nt = 't'\nq_knee = 't'\n[reference]\n{keys}[reference.columns]\nt = 't'\n"
+        )
+        for name in names:
+            unit = ", unit = 'deg'" if name in euler else ""
+            rules += f"{name} = {{ column = '{name}'{unit} }}\n"
+        log = imported(csv(tmp_path, {"t": t} | columns), rules)
         np.testing.assert_allclose(log.ref_p, p_G, atol=1e-12)
         np.testing.assert_allclose(log.ref_R_GI, R_GM.as_matrix(), atol=1e-12)
 
@@ -274,35 +256,28 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
     rng = np.random.default_rng(0)
     t = np.sort(0.002 * np.arange(1500) + 3e-4 * rng.normal(size=1500))
     read = np.floor(t / 0.01) * 0.01  # the joint is read at 100 Hz and held
-    pd.DataFrame({"t": t, "knee": np.sin(4.0 * read), "flag": 1.0}).to_csv(
-        tmp_path / "run.csv", index=False
-    )
+    run = csv(tmp_path, {"t": t, "knee": np.sin(4.0 * read), "flag": 1.0})
     rules = '[columns]\nt = "t"\nq_knee = "knee"\ncontact_left = "flag"\n'
-    recording = read_recording(tmp_path / "run.csv", written(tmp_path / "map.toml", rules))
+    recording = read_recording(run, written(tmp_path / "map.toml", rules))
     said = "\n".join(import_lines(recording.log(), notes=recording.notes))
     assert "stamps: 2 ms apart, uneven by 0.4" in said
     assert [*held_streams(recording.log())["q"]] == ["q_knee"]
-    (tmp_path / "map.toml").write_text(rules + '[even]\nheld = ["q"]\n')
-    log = import_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    log = imported(run, rules + '[even]\nheld = ["q"]\n')
     np.testing.assert_allclose(np.diff(log.t), 1.0 / log.rate, atol=1e-9)
     inner = slice(20, -20)
     assert np.abs(log.q[:, 0] - np.sin(4.0 * (log.t - 0.001)))[inner].max() < 0.01
     assert "q (between held readings)" in log.meta.derived
     assert log.contact.all()
-    (tmp_path / "map.toml").write_text(rules + '[even]\nheld = ["tau"]\n')
-    refused("no column of kind 'tau'", import_log, tmp_path / "run.csv", tmp_path / "map.toml")
+    refused("no column of kind 'tau'", imported, run, rules + '[even]\nheld = ["tau"]\n')
 
 
 def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path):
     robot = Robot.load("spot_class")
-    frame = pd.DataFrame({f"q_{joint}": np.zeros(5) for joint in robot.limbs.joints})
-    frame.insert(0, "t", 0.01 * np.arange(5))
-    frame.to_csv(tmp_path / "run.csv", index=False)
-    rules = (
-        "[columns]\n" + "".join(f'{n} = "{n}"\n' for n in frame) + '[robot]\nname = "spot_class"\n'
-    )
+    columns = {"t": 0.01 * np.arange(5)} | {f"q_{j}": np.zeros(5) for j in robot.limbs.joints}
+    rules = "[columns]\n" + "".join(f'{n} = "{n}"\n' for n in columns)
+    rules += '[robot]\nname = "spot_class"\n'
     for given, radius in (("", robot.foot_radius), ("foot_radius = 0.0\n", 0.0)):
-        log = imported(tmp_path / "run.csv", rules + given)
+        log = imported(csv(tmp_path, columns), rules + given)
         np.testing.assert_allclose(Robot.for_log(log).foot_radius, radius)
         said = "\n".join(import_lines(log))
         assert ("of the robot's file; the map has no [robot] foot_radius" in said) == (not given)
@@ -312,11 +287,10 @@ def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path)
 def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
     starts = ("t", "gyro", "accel", "q_", "tau_")
     kept = [c for c in log.frame if c.startswith(starts) and "_des" not in c and "_ff" not in c]
-    log.frame[kept].to_csv(tmp_path / "run.csv", index=False)
     rules = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in kept)
     sizes = {"torque": "on = 85\noff = 85", "kinematics": "on = 0.3\noff = 0.3"}[of]
     rules += f'[robot]\nname = "spot_class"\n[contact]\nof = "{of}"\n{sizes}\n'
-    found = imported(tmp_path / "run.csv", rules)
+    found = imported(csv(tmp_path, log.frame[kept]), rules)
     assert f"contact from {of}" in found.meta.derived
     assert found.legs == log.legs
     # Rules of thumb: an early swing is slow, and a leg that swings has torque of its own.
@@ -331,6 +305,8 @@ def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
         ("icub_biped/com_sinusoid.mat", "icub_biped", 2004, 26),
         ("so101/prbs_excitation", "so101", 6000, 6),
         ("ricmonk/swings/r06_s3.csv", "ricmonk_swing", None, 3),
+        ("go2_in_air", "go2_in_air", None, 12),
+        ("ak80_pendulum/pd_measured.csv", "ak80_pendulum", None, 1),
     ],
 )
 def test_measured_recordings_come_in_as_they_are(recording, rules, rows, joints):
@@ -389,9 +365,11 @@ def test_the_only_episode_of_a_file_has_its_rows(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["h5", "npz", "mat"])
-def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form):
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form, turned):
     """A log is of one; which of them would be read is not guessed."""
     arrays = {"time": np.zeros((2, 9)), "gyro": np.zeros((2, 9, 3)), "q": np.zeros((2, 9, 12))}
+    arrays = {name: x.swapaxes(0, 1) if turned else x for name, x in arrays.items()}
     run = saved(tmp_path / f"run.{form}", arrays)
     refused("gyro is of 2 episodes or robots of 9 rows", read_file, run, Source())
 

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 from recorded import csv, drafted, imported
 from refusals import refused
+from written import written
 
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.readers.text import encoding_of, layout_of
@@ -45,17 +46,11 @@ def read(folder, *files):
         ("", {"sep": ";", "decimal": ","}, {"separator": ";", "decimal": ","}),
         ("", {"quoting": 1}, {}),
         ("# a robot\n# and its day\n", {}, {"skip": 2}),
-        (
-            "Recorded by hand\nDay;3\n\n",
-            {"sep": ";", "decimal": ","},
-            {"skip": 3, "separator": ";", "decimal": ","},
-        ),
+        ("Recorded by hand\nDay;3\n\n", {"sep": ";"}, {"skip": 3}),
     ],
 )
 def test_a_text_is_read_as_it_is_laid_out(tmp_path, before, options, layout):
-    with (tmp_path / "run.csv").open("w") as stream:
-        stream.write(before)
-        BOTH.to_csv(stream, index=False, **options)
+    (tmp_path / "run.csv").write_text(before + BOTH.to_csv(index=False, **options))
     assert layout_of(tmp_path / "run.csv") == layout
     log, _ = read(tmp_path, "run.csv")
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
@@ -98,8 +93,8 @@ def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_
 
 
 def test_blanks_around_a_name_are_no_part_of_it(tmp_path):
-    rows = "\n".join(",".join(map(str, row)) for row in IMU.to_numpy())
-    (tmp_path / "run.csv").write_text(" ,\t".join(map(str, IMU)) + " \n" + rows + "\n")
+    rows = IMU.to_csv(index=False, header=False)
+    (tmp_path / "run.csv").write_text(" ,\t".join(map(str, IMU)) + " \n" + rows)
     log, draft = read(tmp_path, "run.csv")
     assert [entry.theirs for entry in draft.main] == [entry.name for entry in draft.main]
     np.testing.assert_allclose(log.gyro, IMU.to_numpy()[:, 1:4], atol=1e-9)
@@ -130,15 +125,16 @@ def test_the_files_of_euroc_and_a_trajectory_of_tum_go_in_as_they_are(tmp_path):
     # Of TUM: spaces, a sign of a comment before the names, w last.
     csv(tmp_path, IMU, "imu.csv")
     order = ["t", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"]
-    with (tmp_path / "run.tum").open("w") as stream:
-        stream.write("# timestamp tx ty tz qx qy qz qw\n")
-        POSE[order].to_csv(stream, sep=" ", header=False, index=False)
+    rows = POSE[order].to_csv(sep=" ", header=False, index=False)
+    (tmp_path / "run.tum").write_text(f"# timestamp tx ty tz qx qy qz qw\n{rows}")
     log, _ = read(tmp_path, "imu.csv", "run.tum")
     turned = 2.0 * np.arctan2(log.ref_q[:, 3], log.ref_q[:, 0])
     np.testing.assert_allclose(turned, TURN, atol=1e-6)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+@pytest.mark.parametrize(
+    "encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le", "utf-16-be"]
+)
 def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding):
     table = IMU.assign(**{"Temperatur [°C]": 21.5})
     text = "Gerät;Müller\n" + table.to_csv(index=False, sep=";", decimal=",")
@@ -148,8 +144,8 @@ def test_a_spreadsheet_is_read_in_the_letters_that_it_writes(tmp_path, encoding)
 
 
 def test_what_is_no_text_is_still_refused(tmp_path):
-    (tmp_path / "run.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
-    refused("not a readable table", guess_map, [tmp_path / "run.csv"])
+    path = written(tmp_path / "run.csv", b"\x89PNG\r\n\x1a\n\0\0\xff" * 9)
+    refused("not a readable table", guess_map, [path])
 
 
 def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
@@ -165,5 +161,4 @@ def test_a_gyro_that_turns_slowly_has_the_unit_that_its_name_says(tmp_path):
 @pytest.mark.parametrize("content", [b"a", b"7"])
 def test_one_letter_is_no_utf_16(tmp_path, content):
     """Every other byte of one byte is none, and so not zero."""
-    (tmp_path / "one.csv").write_bytes(content)
-    assert encoding_of(tmp_path / "one.csv") == "utf-8-sig"
+    assert encoding_of(written(tmp_path / "one.csv", content)) == "utf-8-sig"

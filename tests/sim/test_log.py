@@ -3,7 +3,7 @@
 import json
 import pickle
 from contextlib import suppress
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,10 +94,8 @@ def test_arrays_are_contiguous_and_in_canonical_order():
     np.testing.assert_allclose(np.linalg.det(log.ref_R_GI), 1.0)
 
 
-def test_a_log_is_frozen_and_its_arrays_are_new_each_time():
+def test_arrays_are_new_each_time():
     log = make_log()
-    with pytest.raises(FrozenInstanceError):
-        log.name = "another"  # pyright: ignore[reportAttributeAccessIssue]
     log.q[:] = 0.0
     np.testing.assert_array_equal(log.q[:, 0], log.frame["q_FL_hip"])
 
@@ -139,17 +137,6 @@ def test_a_view_derives_a_value_again_only_if_what_it_depends_on_changes():
     assert [number_of_call(make_log()) for _ in range(2)] == [6, 7]
 
 
-def test_a_pendulum_has_one_joint_and_no_feet():
-    t = np.arange(10) / 100.0
-    log = Log(pd.DataFrame({"t": t, "q_shoulder": t, "tau_shoulder": t}), Meta(100.0))
-    assert log.joints == ("shoulder",)
-    assert log.has("tau")
-    assert not log.has("dq")
-    assert not log.has("imu")
-    with pytest.raises(LogError, match=r"lacks imu \(gyro_x.*dq \(dq_shoulder\)"):
-        log.require("imu", "q", "dq")
-
-
 def other_machine(joints: tuple[str, ...], legs: tuple[str, ...], n: int = 60) -> Log:
     rng = np.random.default_rng(1)
     columns = {"t": np.arange(n) / RATE}
@@ -188,11 +175,12 @@ def without_rates(log: Log, joints: tuple[str, ...]) -> Log:
 
 
 def test_a_missing_group_is_named_and_never_zero():
-    log = make_log()
-    log = replace(log, frame=log.frame.drop(columns=[f"dq_{joint}" for joint in JOINTS]))
+    log = without_rates(make_log(), JOINTS)
+    assert log.has("tau")
+    assert not log.has("dq")
     with pytest.raises(LogError, match=r"lacks dq \(dq_FL_hip"):
         _ = log.dq
-    refused("lacks commands", log.require, "commands", error=LogError)
+    refused(r"lacks dq \(dq_FL_hip.*commands", log.require, "q", "dq", "commands", error=LogError)
 
 
 def test_rows_keep_time_and_a_step_divides_the_rate():
@@ -220,10 +208,9 @@ def _fail_half_way(writer, table, **options):
 
 
 def test_an_invalid_log_is_not_written(tmp_path):
-    log = make_log()
+    log, words = make_log(), "column gyro_y, row 7: NaN, for 1 row"
     log.frame.loc[7, "gyro_y"] = np.nan
-    with pytest.raises(LogError, match="column gyro_y, row 7: NaN, for 1 row"):
-        log.write(tmp_path / "walk.parquet")
+    refused(words, log.write, tmp_path / "walk.parquet", error=LogError)
     assert not list(tmp_path.iterdir())
 
 
@@ -231,7 +218,6 @@ def test_an_invalid_log_is_not_written(tmp_path):
     ("column", "rows", "value", "said"),
     [
         ("accel_z", slice(11, 14), np.nan, "column accel_z, row 11: NaN, for 4 rows"),
-        ("tau_RR_calf", slice(30, 30), -np.inf, "column tau_RR_calf, row 30: infinite, for 1 row"),
         ("ref_q_w", slice(9, 9), 2.0, "row 9: not a unit quaternion"),
         ("contact_FL", slice(4, 4), 0.5, "column contact_FL, row 4: 0.5 is not 0 or 1"),
         ("t", slice(6, 6), 12.01, "column t, row 6: time stops"),
@@ -300,22 +286,16 @@ def test_files_that_are_no_logs(tmp_path):
 
 
 @FUZZ
-@given(share=st.floats(0.0, 1.0, exclude_max=True))
-def test_a_truncated_file_is_one_clear_error(tmp_path, share):
-    path = tmp_path / "walk.parquet"
-    make_log(5).write(path, force=True)
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    fault(path)
-
-
-@FUZZ
 @given(place=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
-def test_a_flipped_byte_is_an_error_or_leaves_a_valid_log(tmp_path, place, flip):
+def test_a_damaged_file_is_an_error_or_a_valid_log(tmp_path, place, flip):
+    """Cut short it is an error; with a byte that is another, it may be either."""
     path = tmp_path / "walk.parquet"
     make_log(5).write(path, force=True)
     content = bytearray(path.read_bytes())
-    content[int(place * len(content))] ^= flip
+    at = int(place * len(content))
+    path.write_bytes(content[:at])
+    fault(path)
+    content[at] ^= flip
     path.write_bytes(content)
     with suppress(LogError):
         assert np.isfinite(Log.read(path).frame.to_numpy()).all()
@@ -389,21 +369,16 @@ def test_a_log_is_read_in_the_memory_of_a_chunk(tmp_path):
     ("row", "column", "value", "said"),
     [
         (500, "t", 12.0, "column t, row 500: time jumps back"),
-        (500, "t", 12.0 + 499 / RATE, "column t, row 500: time stops"),
         (777, "gyro_x", np.nan, "column gyro_x, row 777: NaN"),
         (999, "contact_FL", 0.5, "column contact_FL, row 999: 0.5 is not 0 or 1"),
-        (600, "ref_q_w", 3.0, "row 600: not a unit quaternion"),
     ],
 )
 def test_a_fault_is_found_across_chunks_with_its_row_in_the_log(tmp_path, row, column, value, said):
     log = make_log(1003)
     log.frame.loc[row, column] = value
-    path = written(log, tmp_path / "bad.parquet")
-    chunks = Log.chunks(LogReader(path), 1.0)
+    chunks = Log.chunks(LogReader(written(log, tmp_path / "bad.parquet")), 1.0)
     assert len(next(chunks).t) == 500
-    caught = refusal(list, chunks, error=LogError)
-    assert said in caught
-    assert str(path) in caught
+    refused(f"bad.parquet: {said}", list, chunks, error=LogError)
 
 
 @pytest.mark.parametrize("made", [make_log, lambda: MemoisedLog.of(make_log())])

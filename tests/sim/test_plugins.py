@@ -3,12 +3,14 @@
 import sys
 
 import pytest
+from refusals import refused
 
 from surefoot.sim.common import plugins as plugins_module
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry, load_plugin, naming_plugins, plugins
 
 GROUP = "surefoot.tests"
+WHOLE = "class Mine:\n    label = run = 1\n"
 
 
 @pytest.fixture
@@ -63,16 +65,8 @@ def test_a_broken_member_stops_only_what_uses_it(package):
         ("mine = own_thing:Mine", "import nowhere_at_all\n", "ModuleNotFoundError"),
         ("mine = own_thing:Mine", "Other = 1\n", "AttributeError"),
         ("mine = own_thing:Mine", "class Mine:\n    pass\n", "lacks label, run"),
-        (
-            "mine = own_thing:Mine",
-            "class Its:\n    label = run = 1\nMine = Its()",
-            "must be a class",
-        ),
-        (
-            "theirs = own_thing:Mine",
-            "class Mine:\n    label = run = 1\n",
-            "surefoot has one of that name",
-        ),
+        ("mine = own_thing:Mine", f"{WHOLE}It = Mine\nMine = It()\n", "must be a class"),
+        ("theirs = own_thing:Mine", WHOLE, "surefoot has one of that name"),
     ],
 )
 def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
@@ -86,8 +80,7 @@ def test_a_bad_member_is_one_line_that_names_it(package, points, source, words):
 def test_one_name_of_two_packages_is_refused(package):
     package("mine = own_thing:Mine", "Mine = 1\n")
     package("mine = other_thing:Mine", "Mine = 2\n", name="other")
-    with pytest.raises(SurefootError, match="has that name too"):
-        dict(Registry(GROUP, {}))
+    refused("has that name too", dict, Registry(GROUP, {}))
 
 
 @pytest.mark.parametrize(
@@ -114,10 +107,7 @@ def test_a_file_of_any_wrong_form_is_one_line_that_names_it(tmp_path, text, word
 
 
 FAULTS = {
-    "raises": (
-        "raise ValueError('no such leg')",
-        "failed (ValueError: no such leg; faults.py, line 4)",
-    ),
+    "raises": ("raise ValueError('no leg')", "failed (ValueError: no leg; faults.py, line 4)"),
     "raises in a library": ("import json; json.loads('{')", "faults.py, line 4"),
     "returns nothing": ("return None", "may have returned something invalid (AttributeError"),
 }
@@ -165,9 +155,8 @@ def test_what_no_plugin_caused_stays_as_it_is(faulty, error):
 
 def test_what_a_member_raises_while_it_runs_names_it(package):
     """An exit, too, which would end the command as if it were done."""
-    package(
-        "mine = own_thing:Mine", "class Mine:\n    def run(self):\n        raise SystemExit(0)\n"
-    )
+    source = "class Mine:\n    def run(self):\n        raise SystemExit(0)\n"
+    package("mine = own_thing:Mine", source)
     registry = Registry(GROUP, {"root": "math:sqrt"})
     with (
         pytest.raises(SurefootError, match=r"plugin mine = own_thing:Mine.*own_thing.py, line 3"),

@@ -29,11 +29,12 @@ def log() -> Log:
     R = Rotation.from_euler(
         "ZYX", np.column_stack([0.4 * t, 0.1 * np.sin(9 * t), 0.1 * np.sin(7 * t)])
     ).as_matrix()
+    q = quaternion_from_matrix(R)
     p = np.column_stack([0.7 * t, np.sin(t), 0.5 + 0.03 * np.sin(12 * t)])
     v = np.column_stack([np.full(2000, 0.7), np.cos(t), 0.36 * np.cos(12 * t)])
-    columns = {"t": t} | {f"ref_p_{a}": p[:, k] for k, a in enumerate("xyz")}
-    columns |= {f"ref_v_{a}": v[:, k] for k, a in enumerate("xyz")}
-    columns |= {f"ref_q_{a}": quaternion_from_matrix(R)[:, k] for k, a in enumerate("wxyz")}
+    columns = {"t": t}
+    for name, axes, values in (("p", "xyz", p), ("v", "xyz", v), ("q", "wxyz", q)):
+        columns |= {f"ref_{name}_{a}": values[:, k] for k, a in enumerate(axes)}
     return Log(pd.DataFrame(columns), Meta(rate=500.0, robot="spot_class", scenario="flat", seed=4))
 
 

@@ -1,4 +1,5 @@
-"""A reference is checked before it is used: frames, jumps, held samples, its noise by the IMU."""
+"""A reference is checked before it is used: frames, jumps, held samples, its noise by the IMU; what
+does not move as the IMU does is left out."""
 
 import re
 
@@ -15,8 +16,10 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.reference_check import (
     ReferenceCheck,
+    _closed,
     _transition,
     check_reference,
+    contradicted,
     jumps,
     reference_noise,
     without_jumps,
@@ -37,6 +40,20 @@ def poses(t, stamps=None, noise=0.0, rng=None):
     return Poses(
         t if stamps is None else stamps, p, quaternion_from_matrix(attitude(t).as_matrix())
     )
+
+
+T = 0.01 * np.arange(1000)
+
+
+def aside(x, t=T):
+    """Poses of the motion at t (K,), moved by x (K,) [m] along x."""
+    true = poses(t)
+    return Poses(t, true.p + np.outer(x, [1.0, 0.0, 0.0]), true.q)
+
+
+def straight(t, x):
+    """Poses of a body that goes along x (K,) [m] and does not turn."""
+    return Poses(t, np.outer(x, [1.0, 0.0, 0.0]), np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1)))
 
 
 def dropped_frames(rng, seconds=18.0):
@@ -106,9 +123,7 @@ def test_a_step_that_counts_a_frame_too_many_or_too_few_is_found(stamped, covere
     if stamped == 1:
         moved[10::20] = covered
     t, x = (0.01 * np.concatenate([[0], np.cumsum(n)]) for n in (frames, moved))
-    p = np.column_stack([x, 0.0 * x, 0.0 * x])
-    found = check_reference(Poses(t, p, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))))
-    assert found.miscounted == 20
+    assert check_reference(straight(t, x)).miscounted == 20
 
 
 @pytest.mark.parametrize("share", [0.5, 1.5])
@@ -117,27 +132,21 @@ def test_a_body_that_moves_in_jerks_has_no_miscounted_frames(share):
     and the stamps are right."""
     speeds = np.tile([1.0, 1.0, share, 1.0], 250) * 0.15
     t = 0.01 * np.arange(len(speeds) + 1)
-    p = np.column_stack([np.concatenate([[0.0], 0.01 * np.cumsum(speeds)]), 0.0 * t, 0.0 * t])
-    found = check_reference(Poses(t, p, np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))))
+    found = check_reference(straight(t, np.append(0.0, 0.01 * np.cumsum(speeds))))
     assert found.judged > 900
     assert found.miscounted == 0
 
 
 def test_jumps_and_held_samples_and_gaps_are_counted():
-    t = 0.01 * np.arange(1000)
-    true = poses(t)
-    p, q = true.p.copy(), true.q.copy()
-    p[300:] += [0.03, 0.0, 0.0]
-    q[600:604] = quaternion_from_matrix(attitude(t[600:604] + 9.0).as_matrix())
-    p[800], q[800] = p[799], q[799]
-    keep = np.abs(t - 9.0) > 0.04
-    found = check_reference(Poses(t[keep], p[keep], q[keep]))
+    seen = aside(0.03 * (np.arange(1000) >= 300))
+    seen.q[600:604] = quaternion_from_matrix(attitude(T[600:604] + 9.0).as_matrix())
+    seen.p[800], seen.q[800] = seen.p[799], seen.q[799]
+    found = check_reference(seen.rows(np.abs(T - 9.0) > 0.04))
     assert "longest gap 90 ms, 1 over 50 ms" in found.samples
     assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
     assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
-    np.testing.assert_array_equal(np.flatnonzero(jumps(Poses(t, p, q))), [299, 599, 603])
-    left = without_jumps(Poses(t, p, q))
-    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[600:604])
+    np.testing.assert_array_equal(np.flatnonzero(jumps(seen)), [299, 599, 603])
+    np.testing.assert_array_equal(np.setdiff1d(T, without_jumps(seen).t), T[600:604])
 
 
 @pytest.mark.parametrize(
@@ -149,40 +158,27 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     ],
 )
 def test_stamps_that_leap_while_the_body_goes_on_and_frames_are_named(stamps, said):
-    t = 0.01 * np.arange(1000)
-    true = poses(t)
-    (fault,) = check_reference(Poses(stamps(t).round(6), true.p, true.q)).others
+    (fault,) = check_reference(poses(T, stamps(T).round(6))).others
     assert said in fault
 
 
 def test_a_body_that_was_lost_for_a_while_is_no_clock():
-    t = 0.01 * np.arange(1000)
-    keep = (t < 4.0) | (t > 5.3)
-    assert check_reference(poses(t).rows(keep)).others == ()
+    assert check_reference(poses(T[(T < 4.0) | (T > 5.3)])).others == ()
 
 
 def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_removed():
-    t = 0.01 * np.arange(1000)
-    true = poses(t)
-    p, aside_rows = true.p.copy(), np.r_[300:304, 310:315, 600:603, 603:607]
-    for rows, aside in (
-        (slice(300, 304), 0.1),
-        (slice(310, 315), 0.1),
-        (slice(600, 603), 0.1),
-        (slice(603, 607), 0.3),
-    ):
-        p[rows] += [aside, 0.0, 0.0]
-    left = without_jumps(Poses(t, p, true.q))
-    np.testing.assert_array_equal(np.setdiff1d(t, left.t), t[aside_rows])
+    x = np.zeros(1000)
+    x[np.r_[300:304, 310:315, 600:603]] = 0.1
+    x[603:607] = 0.3
+    left = without_jumps(aside(x))
+    np.testing.assert_array_equal(np.setdiff1d(T, left.t), T[x > 0.0])
 
 
 def test_the_largest_jump_is_told_by_its_size_and_time():
-    """One that a tracker spreads over three samples, after a smaller one."""
-    t = 0.01 * np.arange(1000)
-    true = poses(t)
+    """One that a tracker spreads over three samples, after a smaller one; stamps may begin late."""
     spread = np.interp(np.arange(1000), [834, 837], [0.0, 0.1])
-    p = true.p + np.column_stack([0.0 * t, spread, 0.03 * (t > 2.0)])
-    moved, after = size_and_time(check_reference(Poses(t + 70.0, p, true.q)))
+    seen = aside(spread + 0.03 * (T > 2.0))
+    moved, after = size_and_time(check_reference(Poses(T + 70.0, seen.p, seen.q)))
     assert after == pytest.approx(8.36, abs=0.02)
     assert moved == pytest.approx(0.1, abs=0.005)
 
@@ -196,30 +192,23 @@ def size_and_time(found: ReferenceCheck) -> tuple[float, float]:
 
 @pytest.mark.parametrize("first", [1, 2, 5, 990, 998])
 def test_a_jump_near_an_end_has_its_size_too(first):
-    t = 0.01 * np.arange(1000)
-    true = poses(t)
-    p = true.p + np.column_stack([0.0 * t, 0.1 * (np.arange(1000) >= first), 0.0 * t])
-    moved, after = size_and_time(check_reference(Poses(t, p, true.q)))
-    assert after == pytest.approx(t[first], abs=0.011)
+    moved, after = size_and_time(check_reference(aside(0.1 * (np.arange(1000) >= first))))
+    assert after == pytest.approx(T[first], abs=0.011)
     assert moved == pytest.approx(0.1, abs=0.005)
 
 
 def test_a_jump_of_a_body_that_speeds_up_has_its_size_too():
     """The usual speed is that of as many steps before as after, even where there are no more."""
     t = 0.01 * np.arange(40)
-    p = 10.0 * t**2 + 0.1 * (np.arange(40) > 4)
-    still = np.tile([1.0, 0.0, 0.0, 0.0], (40, 1))
-    found = check_reference(Poses(t, np.column_stack([p, 0.0 * t, 0.0 * t]), still))
+    found = check_reference(straight(t, 10.0 * t**2 + 0.1 * (np.arange(40) > 4)))
     assert "1 jumps" in "".join(found.others)
     assert size_and_time(found)[0] == pytest.approx(0.1, abs=1e-9)
 
 
 def test_a_blow_is_no_jump_at_any_rate():
     t = 0.002 * np.arange(1000)
-    true = poses(t)
-    for p, found in (([1.0 * (t > 1.0) * (t - 1.0)], 0), ([0.03 * (t > 1.0)], 1)):
-        pushed = true.p + np.column_stack([*p, 0.0 * t, 0.0 * t])
-        assert jumps(Poses(t, pushed, true.q)).sum() == found
+    assert not jumps(aside((t > 1.0) * (t - 1.0), t)).any()
+    assert jumps(aside(0.03 * (t > 1.0), t)).sum() == 1
 
 
 def test_the_noise_of_samples_is_found_by_imu_and_poses():
@@ -251,9 +240,8 @@ def test_the_filters_noise_adds_up_over_steps():
 
 def test_where_no_step_can_be_judged_no_stamp_is_doubtful():
     t = np.arange(0.0, 4.0, 0.01)
-    found = check_reference(Poses(t, np.zeros((len(t), 3)), np.tile([1.0, 0, 0, 0], (len(t), 1))))
-    assert found.judged == 0
-    assert found.doubtful == 0.0
+    found = check_reference(straight(t, 0.0 * t))
+    assert (found.judged, found.doubtful) == (0, 0.0)
 
 
 def log_of(walk, seen):
@@ -318,9 +306,6 @@ def test_import_reports_what_is_wrong_with_stamps(tmp_path, capsys):
     assert doubtful["first"] > 12.0
     assert doubtful["recounted"] < 2.0
     assert "accel_x, accel_y, accel_z: a slower sensor" in printed.err
-    assert any(
-        "a slower sensor" in one for one in Log.read(tmp_path / "recounted.parquet").meta.warnings
-    )
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2, 3])
@@ -328,3 +313,66 @@ def test_so_few_poses_that_none_has_neighbours_do_not_jump(rows):
     found = jumps(poses(FRAME * np.arange(rows)) if rows else poses(np.zeros(1)).rows(slice(0, 0)))
     assert len(found) == max(rows - 1, 0)
     assert not found.any()
+
+
+WALK = motion(12.0, 400.0)
+
+
+def beside(t, stamps=None, noise=3e-4):
+    """Samples of the motion at t (K,), of a point beside the IMU, said to be at `stamps`."""
+    R = attitude(t).as_matrix()
+    p = position(t) + R @ [0.03, 0.05, 0.1]
+    p = p + np.random.default_rng(0).normal(0.0, noise, p.shape)
+    return Poses(t if stamps is None else stamps, p, quaternion_from_matrix(R))
+
+
+def out_of(these):
+    return contradicted(WALK.t, WALK.gyro, WALK.accel, these)
+
+
+def test_a_reference_that_moves_with_the_imu_is_kept():
+    t = np.arange(-0.2, 12.2, 1 / 90)
+    assert not out_of(beside(t)).any()
+    # Late by half a second all along: a clock, which is solved and not cut out.
+    assert not out_of(beside(t, t + 0.5)).any()
+
+
+def test_stamps_that_are_far_off_at_an_end_are_left_out_with_what_comes_before():
+    t = np.arange(-0.2, 12.2, 1 / 90)
+    # Frames were lost without being counted: what was before them comes too late by 0.3 s.
+    stamps = np.where(t < 0.5, t + 0.3, t)
+    keep = np.r_[True, np.diff(np.maximum.accumulate(stamps)) > 0]
+    out = out_of(beside(t[keep], stamps[keep]))
+    dropped = stamps[keep][out]
+    assert out[0]
+    assert np.all(np.diff(np.flatnonzero(out)) == 1)
+    assert 0.75 < dropped[-1] < 0.95
+
+
+def test_a_jump_between_is_left_out_with_its_surroundings():
+    t = np.arange(0.0, 12.0, 1 / 90)
+    these = beside(t)
+    moved = these.p + np.where(t[:, None] > 6.0, [0.1, 0.0, 0.0], 0.0)
+    dropped = t[out_of(Poses(t, moved, these.q))]
+    assert 5.85 < dropped[0] < 6.0 < dropped[-1] < 6.15
+
+
+def test_a_last_sample_between_the_last_two_rows_of_the_imu_counts_too():
+    """A tracker that leaps with its last frame, a millisecond before the recording ends."""
+    t = np.append(np.arange(0.0, 11.985, 1 / 90), 11.999)
+    these = beside(t)
+    these.p[-1] += [0.1, 0.0, 0.0]
+    dropped = t[out_of(these)]
+    assert dropped[-1] == 11.999
+    assert dropped[0] > 11.85
+
+
+def test_good_sections_of_less_than_a_second_are_bad():
+    """Between bad ones, and none at either end that is bad itself."""
+    t = 0.1 * np.arange(60)
+    bad = np.zeros(60, dtype=bool)
+    bad[[0, 5, 30, 59]] = True
+    wanted = bad.copy()
+    wanted[1:5] = True
+    assert _closed(t, bad).tolist() == wanted.tolist()
+    assert _closed(t, ~bad).tolist() == np.ones(60, dtype=bool).tolist()

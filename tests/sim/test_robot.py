@@ -1,6 +1,7 @@
 """Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -8,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from good_texts import URDF
+from quadruped_mjcf import UNSEEN
 from refusals import refused
 from written import written
 
@@ -17,7 +19,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.catalog import downloadable_robots, known_robots, robot_file
+from surefoot.sim.robot.catalog import downloadable_robots, known_robots, of_robot, robot_file
 from surefoot.sim.robot.home_pose import stands
 from surefoot.sim.robot.legs import LEGS
 from surefoot.sim.robot.machine import FixedBase, load_machine, machine_for_log
@@ -67,11 +69,6 @@ def test_home_stands(robot):
     assert ((robot.q_home > lower) & (robot.q_home < upper)).all()
 
 
-def test_bundled_masses_are_the_published_ones():
-    assert Robot.load("spot_class").mass == pytest.approx(32.7, abs=1e-6)
-    assert Robot.load("v60_class").mass == pytest.approx(51.0, abs=1e-6)
-
-
 MODEL = """<mujoco model="odd"><worldbody><body name="base"><freejoint/>
 <geom type="box" size=".2 .1 .1"/>{legs}</body></worldbody>{actuators}</mujoco>"""
 LEG = """<body name="h{i}" pos="{x} {y} 0"><joint name="h{i}" axis="1 0 0"/>
@@ -107,8 +104,12 @@ def with_mesh(text: str, vertices: str, pos: str, also: str = "") -> str:
 CORNERS = [(-0.2, -0.1), (0.2, -0.1), (-0.2, 0.1), (0.2, 0.1)]
 
 
+def odd(folder: Path, text: str) -> Robot:
+    return Robot.load(written(folder / "odd.xml", text))
+
+
 def test_names_and_order_in_the_file_do_not_matter(tmp_path):
-    robot = Robot.load(written(tmp_path / "odd.xml", odd_robot(CORNERS)))
+    robot = odd(tmp_path, odd_robot(CORNERS))
     assert robot.joint_names[:3] == ("h3", "t3", "c3")
     assert robot.joint_names[9:] == ("h0", "t0", "c0")
 
@@ -116,17 +117,15 @@ def test_names_and_order_in_the_file_do_not_matter(tmp_path):
 def test_a_mesh_foot_is_the_end_of_the_mesh_that_reaches_farthest(tmp_path):
     """A bounding box has corners where a round foot has nothing, and a shank beside it that lies
     level in the model's zero pose has them lower than the foot."""
-    path = tmp_path / "odd.xml"
     shank = '<geom type="box" size=".1 .02 .03" pos=".1 0 0"/>'
     text = with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.03), "0.2 0 0", shank)
-    path.write_text(text)
-    robot = Robot.load(path)
+    robot = odd(tmp_path, text)
     np.testing.assert_allclose(robot.foot_radius, 0.03, rtol=0.03)
     np.testing.assert_allclose(robot.foot_places, [[0.2, 0.0, 0.0]] * 4, atol=1e-3)
 
 
 def test_a_leg_that_is_a_capsule_stands_on_its_end(tmp_path):
-    robot = Robot.load(written(tmp_path / "odd.xml", odd_robot(CORNERS, foot="capsule")))
+    robot = odd(tmp_path, odd_robot(CORNERS, foot="capsule"))
     np.testing.assert_allclose(robot.foot_radius, 0.02)
     np.testing.assert_allclose(robot.foot_places, [[0.0, 0.0, -0.22]] * 4, atol=1e-12)
 
@@ -156,19 +155,19 @@ def test_lying_rods_are_the_sole_of_a_leg_that_can_level_it(tmp_path, rod, half,
             foot = f'<body pos="0 0 -.2">{joint}{shank}{foot}</body>'
         legs += f'<body pos="0 {y} 0">{foot}</body>'
         pairs += "".join(f'<pair geom1="{name}" geom2="floor"/>' for name in names)
-    alone = 'contype="0" conaffinity="0"'
-    path = tmp_path / "biped.xml"
-    path.write_text(
-        BIPED.format(
-            touch="" if touching == "all" else alone,
-            legs=legs,
-            pairs=pairs if touching == "pairs" else "",
-        )
-    )
-    robot = Robot.load(path)
+    touch, pairs = "" if touching == "all" else UNSEEN, pairs if touching == "pairs" else ""
+    robot = odd(tmp_path, BIPED.format(touch=touch, legs=legs, pairs=pairs))
     assert robot.limbs.legs == ("left", "right")
     np.testing.assert_allclose(robot.sole, [[half, 0.03]] * 2, atol=1e-4)
     np.testing.assert_allclose(robot.foot_places, [[0.03, 0.0, -0.06]] * 2, atol=1e-4)
+
+
+def edited(old: str, new: str, **options) -> str:
+    return odd_robot(CORNERS, **options).replace(old, new)
+
+
+CONNECT = '<equality><connect body1="c2" body2="base" anchor="0 0 0"/></equality><actuator>'
+WAIST = '<body><joint name="waist"/><geom size=".1"/><body name="h0"'
 
 
 @pytest.mark.parametrize(
@@ -176,43 +175,20 @@ def test_lying_rods_are_the_sole_of_a_leg_that_can_level_it(tmp_path, rod, half,
     [
         (MODEL.format(legs="", actuators=""), "none of its 0 chains"),
         (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
-        (
-            odd_robot(CORNERS, foot="cylinder").replace(
-                '.02" pos="0 0 -.2"', '.02" euler="90 0 0"'
-            ),
-            "for a foot",
-        ),  # of a wheel
+        (edited('.02" pos="0 0 -.2"', '.02" euler="90 0 0"', foot="cylinder"), "for a foot"),
         (with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.08), "0 0 0"), "the axle of a wheel"),
+        (edited('name="c0" axis', 'name="c0" type="slide" axis'), "joint c0 of a leg slides"),
+        (edited('name="h1" axis', 'name="h1" type="ball" axis', motors=False), "is a ball joint"),
+        (edited("<actuator>", CONNECT), "a closed loop"),
         (
-            odd_robot(CORNERS).replace('name="c0" axis', 'name="c0" type="slide" axis'),
-            "joint c0 of a leg slides",
-        ),
-        (
-            odd_robot(CORNERS, motors=False).replace(
-                'name="h1" axis', 'name="h1" type="ball" axis'
-            ),
-            "joint h1 of a leg is a ball joint",
-        ),
-        (
-            odd_robot(CORNERS).replace(
-                "<actuator>",
-                '<equality><connect body1="c2" body2="base" anchor="0 0 0"/></equality><actuator>',
-            ),
-            "a closed loop",
-        ),
-        (
-            odd_robot(CORNERS)
-            .replace(
-                '<body name="h0"', '<body><joint name="waist"/><geom size=".1"/><body name="h0"'
-            )
-            .replace("</worldbody>", "</body></worldbody>"),
+            edited('<body name="h0"', WAIST).replace("</worldbody>", "</body></worldbody>"),
             "legs share hinge waist",
         ),
         ("<mujoco", "cannot read"),
     ],
 )
 def test_what_cannot_be_found_is_said_in_one_line(tmp_path, text, words):
-    refused(words, Robot.load, written(tmp_path / "odd.xml", text))
+    refused(words, odd, tmp_path, text)
 
 
 def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path, monkeypatch):
@@ -237,13 +213,10 @@ def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path
 
 def test_the_imu_is_where_the_gyro_sits_whatever_it_is_called(tmp_path):
     """A model without one has the base frame for it, and says so."""
-    path = written(tmp_path / "odd.xml", odd_robot(CORNERS))
-    assert Robot.load(path).imu is None
+    assert odd(tmp_path, odd_robot(CORNERS)).imu is None
     site = '<freejoint/><site name="box" pos=".1 0 .02" quat="0 0 0 1"/>'
     sensor = '<sensor><gyro site="box"/></sensor></mujoco>'
-    text = odd_robot(CORNERS).replace("<freejoint/>", site).replace("</mujoco>", sensor)
-    path.write_text(text)
-    robot = Robot.load(path)
+    robot = odd(tmp_path, edited("<freejoint/>", site).replace("</mujoco>", sensor))
     assert robot.imu == "box"
     np.testing.assert_allclose(robot.p_BI, [0.1, 0.0, 0.02])
     np.testing.assert_allclose(robot.R_BI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
@@ -261,14 +234,13 @@ def with_visuals(inertial: str, shape: str) -> str:
 
 
 INERTIAL = '<inertial pos="0 0 0" mass="5" diaginertia=".1 .1 .1"/>'
-UNSEEN = 'contype="0" conaffinity="0"'
 
 
 @pytest.mark.parametrize(("inertial", "density"), [(INERTIAL, 1000), ("", 0)])
 def test_visuals_whose_files_are_missing_are_left_out(tmp_path, inertial, density):
     path, whole = tmp_path / "odd.xml", tmp_path / "whole.xml"
     path.write_text(with_visuals(inertial, f'{UNSEEN} density="{density}"'))
-    whole.write_text(odd_robot(CORNERS).replace("<freejoint/>", f"<freejoint/>{inertial}"))
+    whole.write_text(edited("<freejoint/>", f"<freejoint/>{inertial}"))
     robot = Robot.load(path)
     assert robot.mass == Robot.load(whole).mass
     assert robot.spec().compile().ngeom == compiled_model(whole).ngeom
@@ -283,13 +255,8 @@ def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path, monkeypatch):
     text = with_visuals(INERTIAL, UNSEEN).replace("hull.stl", "../meshes/hull.stl")
     path.write_text(text)
     assert "files are missing: skin.png, ../meshes/hull.stl" in robot_card(str(path), None).text
-    for above in (
-        "../hull.stl",
-        "../../meshes/hull.stl",
-        "../.meshes/hull.stl",
-        "../meshes/hull.txt",
-        "away/../../hull.stl",
-    ):
+    links = "../hull.stl", "../../meshes/hull.stl", "../.meshes/hull.stl", "away/../../hull.stl"
+    for above in (*links, "../meshes/hull.txt"):
         path.write_text(text.replace("../meshes/hull.stl", above))
         refused(r"hull\.\w+' lies outside", Robot.load, path)
         (path.parent / "away").unlink(missing_ok=True)
@@ -299,22 +266,16 @@ def test_meshes_may_lie_in_a_folder_beside_the_models(tmp_path, monkeypatch):
     refused("lies outside", Robot.load, path)
 
 
-def test_a_urdf_by_another_name_is_refused(tmp_path):
-    """Its meshes would not be confined."""
-    refused(r"a URDF's name ends in \.urdf", compiled_model, written(tmp_path / "arm.xml", URDF))
-
-
 @pytest.mark.parametrize(("inertial", "shape"), [(INERTIAL, ""), ("", UNSEEN)])
 def test_a_missing_mesh_that_collides_or_weighs_is_refused(tmp_path, inertial, shape):
-    refused(r"hull\.stl", Robot.load, written(tmp_path / "odd.xml", with_visuals(inertial, shape)))
+    refused(r"hull\.stl", odd, tmp_path, with_visuals(inertial, shape))
 
 
 def test_the_solver_of_a_walk_is_not_the_robots(tmp_path):
     """Models for parallel simulation ask for one iteration, with which robots fall at once."""
-    path = tmp_path / "odd.xml"
     option = '<option solver="CG" iterations="1" ls_iterations="4" tolerance="1e-3"/>'
-    path.write_text(odd_robot(CORNERS).replace("<worldbody>", f"{option}<worldbody>"))
-    given = build_world(Robot.load(path), Ground(0.8)).model.opt
+    robot = odd(tmp_path, edited("<worldbody>", f"{option}<worldbody>"))
+    given = build_world(robot, Ground(0.8)).model.opt
     usual = mujoco.MjSpec().option
     for name in ("solver", "iterations", "ls_iterations", "tolerance"):
         assert getattr(given, name) == getattr(usual, name)
@@ -322,17 +283,15 @@ def test_the_solver_of_a_walk_is_not_the_robots(tmp_path):
 
 def test_a_foot_that_touches_by_its_scene_alone_is_not_walked(tmp_path):
     """Its legs are read from the shapes at their ends, but it would fall through other ground."""
-    path = written(tmp_path / "odd.xml", odd_robot(CORNERS).replace("<geom ", f"<geom {UNSEEN} "))
-    robot = Robot.load(path)
+    robot = odd(tmp_path, edited("<geom ", f"<geom {UNSEEN} "))
     refused("no shape of foot FL touches the ground", build_world, robot, Ground(0.8))
-    assert "does not walk in simulation: no shape of foot FL" in robot_card(str(path), None).text
+    card = robot_card(str(robot.file), None).text
+    assert "does not walk in simulation: no shape of foot FL" in card
 
 
 def test_a_joint_without_a_torque_limit_is_named_and_not_walked(tmp_path):
-    path = written(tmp_path / "odd.xml", odd_robot(CORNERS, motors=False))
-    with pytest.raises(SurefootError, match="no torque limit for joint h3; give its actuator a"):
-        build_world(Robot.load(path), Ground(0.8))
-    assert "does not walk in simulation: no torque limit" in robot_card(str(path), None).text
+    robot = odd(tmp_path, odd_robot(CORNERS, motors=False))
+    refused("no torque limit for joint h3; give its actuator a", build_world, robot, Ground(0.8))
 
 
 def test_a_urdf_need_not_declare_the_world(tmp_path):
@@ -443,12 +402,8 @@ def test_the_card_gives_the_mass_of_a_link_with_what_is_fixed_to_it(tmp_path):
     file.write_text(text.replace('<link name="LF_FOOT">', f'<link name="LF_FOOT">{inertial}'))
     rows = robot_card(file, None).text.splitlines()
     masses = {row.split()[1]: row.split()[-2] for row in rows if "_calf " in row}
-    assert masses == {
-        "FL_calf": "0.950",
-        "FR_calf": "0.800",
-        "RL_calf": "0.800",
-        "RR_calf": "0.800",
-    }
+    others = dict.fromkeys(("FR_calf", "RL_calf", "RR_calf"), "0.800")
+    assert masses == {"FL_calf": "0.950"} | others
 
 
 def test_the_imu_of_a_urdf_is_the_link_named_so(tmp_path):
@@ -515,3 +470,59 @@ def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
     with pytest.raises(SurefootError, match="walk: is of a machine with legs; robot arm: none"):
         machine_for_log(Log(frame.assign(contact_left=1.0), meta, "walk"))
     refused("no body or site 'toe'", load_machine, file, feet={"left": "toe"})
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    """A bundled model with a heavier trunk: another robot."""
+    return robot_file("spot_class").read_text().replace('mass="13', 'mass="14')
+
+
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory, text) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("mine")
+    file = folder / "mine.xml"
+    file.write_text(text)
+    log = walk(Scenario("stand", (Segment(0.2),), Ground(0.8), stand=0.2), Robot.load(file), 0)
+    log.write(folder / "log.parquet")
+    return file, folder / "log.parquet"
+
+
+def test_a_file_that_moved_or_changed_is_replaced_by_what_the_log_keeps(
+    mine, text, tmp_path, monkeypatch
+):
+    file, path = mine
+    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / "cache"))
+    log, same = Log.read(path), Robot.load(file)
+    assert Robot.for_log(log).file == file
+    file.write_text(text.replace('mass="14', 'mass="19'))
+    try:
+        changed = Robot.for_log(log)
+        file.rename(file.with_name("moved.xml"))
+        moved = machine_for_log(log)
+    finally:
+        file.write_text(text)
+    for found in (changed, moved):
+        assert isinstance(found, Robot)
+        assert (found.name, found.mass, found.digest) == ("mine", same.mass, same.digest)
+
+
+def test_what_was_tampered_with_or_needs_other_files_is_one_line(mine, tmp_path):
+    _, path = mine
+    log = Log.read(path)
+    kept = log.meta.model["file"] | {"path": str(tmp_path / "gone.xml")}
+    for model, message in (
+        (kept | {"text": kept["text"] + " "}, "does not match its digest"),
+        ({k: v for k, v in kept.items() if k != "text"}, "gone.xml, is not there: say which"),
+        (kept | {"path": str(tmp_path / "..")}, "is not there: say which"),
+    ):
+        other = replace(log, meta=replace(log.meta, model={"file": model}))
+        refused(message, Robot.for_log, other)
+
+
+def test_a_robot_that_is_named_takes_the_place_of_the_log_s(mine):
+    file, path = mine
+    log = of_robot(Log.read(path), "spot_class")
+    assert "file" not in log.meta.model
+    assert Robot.for_log(log).file == robot_file("spot_class")
+    assert Robot.for_log(of_robot(log, file)).file == file

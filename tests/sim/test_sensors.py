@@ -38,14 +38,10 @@ def with_errors(streams, sensors):
     return SensorErrors(sensors, np.random.default_rng(5), shape, streams.rate).apply(streams)
 
 
-def test_contact_is_a_threshold_by_default(streams):
-    contact = sensed(streams, Sensors())
-    assert_array_equal(contact, streams.force > 0.08 * WEIGHT)
-
-
-def test_contact_is_told_late(streams):
-    contact = sensed(streams, Sensors(contact_delay=0.02))
-    assert_array_equal(contact[10:], (streams.force > 0.08 * WEIGHT)[:-10])
+@pytest.mark.parametrize("rows", [0, 10])
+def test_contact_is_a_threshold_that_is_told_late(streams, rows):
+    contact = sensed(streams, Sensors(contact_delay=rows / RATE))
+    assert_array_equal(contact[rows:], (streams.force > 0.08 * WEIGHT)[: len(contact) - rows])
 
 
 def test_contact_is_wrong_as_often_as_told(streams):
