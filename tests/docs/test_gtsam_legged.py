@@ -118,9 +118,3 @@ def test_they_stand_in_the_table_beside_ours(log, tmp_path, monkeypatch):
     assert errors["leg"] < errors["gtsam_leg"] < errors["imu"]  # feet that roll, and no biases
     report = Path("compared/report.html").read_text()
     assert "LeggedInvariantEKF: a foothold a leg as states" in report
-
-
-def test_the_file_alone_is_a_plugin():
-    file = EXAMPLE / "gtsam_legged.py"
-    said = printed("-m", "surefoot", "estimate", "--help", "--plugin", file)
-    assert "gtsam_leg_iterated" in said

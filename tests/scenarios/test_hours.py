@@ -12,19 +12,12 @@ from surefoot.sim.log import LogReader
 
 LAP = """robot = "spot_class"
 laps = {laps}
-[ground]
-mu = 0.7
 [[segment]]
+repeat = 2
+[[segment.segment]]
 duration = 20.0
 forward = 0.5
-[[segment]]
-duration = 10.0
-forward = 0.3
-turn = 0.3141592653589793
-[[segment]]
-duration = 20.0
-forward = 0.5
-[[segment]]
+[[segment.segment]]
 duration = 10.0
 forward = 0.3
 turn = 0.3141592653589793

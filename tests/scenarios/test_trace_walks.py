@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pushes import pushed
 from scipy.spatial.transform import Rotation
+from synthetic import without
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
@@ -154,25 +155,20 @@ def test_friction_is_that_with_the_effects_found_compensated():
 
 
 def test_without_torques_friction_is_not_identifiable(zigzag):
-    bare = zigzag.frame.drop(columns=[c for c in zigzag.frame if str(c).startswith("tau_")])
-    assert friction(replace(zigzag, frame=bare)) is None
+    assert friction(without(zigzag, "tau_")) is None
     assert "without torques" in slip_notes(None, True)[0]
 
 
 def test_outside_forces_are_found_where_they_act(zigzag):
     for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
-        case = log_under_model(
-            pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag, ROBOT
-        )
+        log = pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag
+        case = log_under_model(log, ROBOT)
         known = linearise([case], (), ())
         found = outside_forces([case], known.table, known, BIN)
         assert len(found) == there
         for push, (begin, end) in zip(found, spans, strict=True):
             assert push.force == pytest.approx(np.hypot(25.0, 15.0), rel=0.1)
-            assert (push.begin, push.end) == (
-                pytest.approx(begin, abs=0.2),
-                pytest.approx(end, abs=0.2),
-            )
+            assert [push.begin, push.end] == pytest.approx([begin, end], abs=0.2)
         near = pushed_bins([case], known, found).sum() * BIN
         assert near == pytest.approx(there * 1.9, abs=0.3)
 
@@ -210,8 +206,7 @@ PUSH = (5.0, 6.2)
 def walked(seed):
     own = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
     own += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
-    course = Scenario("zigzag", ZIGZAG, Ground(0.8))
-    log = walk(course, ROBOT, seed, [LONGER, *own], declared=False)
+    log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, seed, [LONGER, *own], declared=False)
     return pushed(log, ROBOT, [PUSH], (0.0, 30.0, -15.0)) if seed == 1 else log
 
 
@@ -238,11 +233,10 @@ class Drift(Effect):
 
 
 def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
-    robot = Robot.load("spot_class")
     drifted = log.frame["gyro_x"].to_numpy() + 0.01 * (log.t - log.t[0])
     drifting = with_columns(replace(log), {"gyro_x": drifted})
-    found = before_and_after(drifting, robot, [Drift("all", 0.01)], Learnt(), 5.0, log.t[-1])
-    right = before_and_after(log, robot, [], Learnt(), 5.0, log.t[-1])
+    found = before_and_after(drifting, ROBOT, [Drift("all", 0.01)], Learnt(), 5.0, log.t[-1])
+    right = before_and_after(log, ROBOT, [], Learnt(), 5.0, log.t[-1])
     assert [one.filter for one in found] == [one.filter for one in right]
     for one, other in zip(found, right, strict=True):
         assert one.metrics[1].ape_rot == pytest.approx(other.metrics[0].ape_rot, rel=1e-6)
@@ -251,28 +245,31 @@ def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
     assert np.isfinite(imu.metrics[1].ape_trans)
 
 
+T = np.linspace(0.0, 10.0, 1001)
+
+
+def ahead(x, climb=0.0, turn=0.0):
+    """A trajectory through x [m] that climbs [m/s] and turns [rad/s]."""
+    R_GI = Rotation.from_euler("z", (turn * T)[:, None]).as_matrix()
+    zeros = np.zeros((len(T), 3))
+    return Trajectory(T, R_GI, zeros, np.column_stack([x, 0 * T, climb * T]), zeros, zeros)
+
+
 def test_who_sways_on_the_spot_has_no_drift_by_the_metre():
-    t = np.linspace(0.0, 10.0, 1001)
-    still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
-
-    def path(x):
-        p_GI = np.column_stack([x, np.zeros((len(t), 2))])
-        return Trajectory(t=t, R_GI=still, v_GI=0 * p_GI, p_GI=p_GI, b_a=0 * p_GI, b_g=0 * p_GI)
-
-    away = 0.1 * t
-    assert drift(path(0.5 * t), path(0.5 * t + away)) == pytest.approx(0.2)
-    swaying = path(0.01 * np.sin(t)), path(0.01 * np.sin(t) + away)
+    away = 0.1 * T
+    assert drift(ahead(0.5 * T), ahead(0.5 * T + away)) == pytest.approx(0.2)
+    swaying = ahead(0.01 * np.sin(T)), ahead(0.01 * np.sin(T) + away)
     assert np.isnan(drift(*swaying))
     assert np.isnan(drift_parts(*swaying)).all()
 
 
 def test_each_cause_of_drift_is_charged_with_what_it_causes(log, robot):
     """A gyro that reads turns 2 % too large turns the estimate; a short shank sinks it."""
-    turns, sinks = effect("gyro_scale", "z", 0.02), effect("link_length", "FR_calf", 0.006)
-    course = Scenario("seen", COURSE, Ground(0.8))
-    built = walk(course, robot, 4, effects=[turns, sinks], declared=False)
+    turns = effect("gyro_scale", "z", 0.02)
+    course = Scenario("seen", COURSE, GROUND)
+    built = walk(course, robot, 4, effects=[turns, LONGER], declared=False)
     (case,), (exact,) = (logs_under_model([one], robot, ()) for one in (built, log))
-    causes = causes_of_drift([case], [turns, sinks])
+    causes = causes_of_drift([case], [turns, LONGER])
     assert causes is not None
     added = {one.name: drift for one, drift in causes.added}
     height, yaw = (np.array([abs(x[k]) for x in added.values()]) for k in (1, 2))
@@ -290,30 +287,15 @@ def test_each_cause_of_drift_is_charged_with_what_it_causes(log, robot):
 
 
 def test_a_drift_has_a_height_a_yaw_and_a_distance():
-    t = np.linspace(0.0, 10.0, 1001)
-    zeros = np.zeros((len(t), 3))
-
-    def ahead(scale, climb, turn):
-        R_GI = Rotation.from_euler("z", (turn * t)[:, None]).as_matrix()
-        p_GI = np.column_stack([scale * t, 0 * t, climb * t])
-        return Trajectory(t=t, R_GI=R_GI, v_GI=zeros, p_GI=p_GI, b_a=zeros, b_g=zeros)
-
-    found = drift_parts(ahead(1.0, 0.0, 0.0), ahead(1.02, 0.003, 0.01))
+    found = drift_parts(ahead(T), ahead(1.02 * T, 0.003, 0.01))
     assert found[1:] == pytest.approx([0.003, 0.01, 0.02], rel=1e-3)
     assert found[0] > np.hypot(0.02, 0.003)  # beside what the turn adds
 
 
 def test_where_the_leg_filter_does_not_run_no_cause_is_named(log, robot):
-    bare = replace(log, frame=log.frame[[c for c in log.frame if not str(c).startswith("contact")]])
-    cases = logs_under_model([bare], robot, ())
+    cases = logs_under_model([without(log, "contact")], robot, ())
     assert causes_of_drift(cases, [effect("gyro_scale", "z", 0.02)]) is None
     assert causes_of_drift(cases, []) is None
-
-
-"""rad of FL's thigh, and s of the reference's clock, of each walk."""
-
-
-"""s of the second walk."""
 
 
 def of_run(run, name):
