@@ -89,24 +89,16 @@ LOG = [
 ]
 
 BOUNDS = [
-    ("wider bounds by hand", lambda v: v.update(epsilon=[9.0, 9.0, 9.0])),
     ("narrower bounds by hand", lambda v: v.update(epsilon=[1e-3, 1e-3, 1e-3])),
-    ("another level by hand", lambda v: v.update(gamma=0.99)),
     ("another observer by hand", lambda v: v.update(observer="0" * 64)),
-    ("more samples by hand", lambda v: v.update(n=10**6)),
-    ("another spacing by hand", lambda v: v.update(K=1)),
-    ("another log by hand", lambda v: v.update(log="other")),
-    ("a mirror for a rotation", lambda v: v.update(R_BI=[[1, 0, 0], [0, 1, 0], [0, 0, -1]])),
     ("no digest", lambda v: v.pop("digest")),
     ("a digest of a list", lambda v: v.update(digest=[1])),
 ]
 
 OLD_BOUNDS = [
     ("a mirror for a rotation", lambda v: v.update(R_BI=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "R_BI"),
-    ("a stretched rotation", lambda v: v.update(R_BI=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "R_BI"),
     ("a rotation of two rows", lambda v: v.update(R_BI=[[1, 0, 0], [0, 1, 0]]), "R_BI"),
     ("bounds of nothing", lambda v: v.update(epsilon=[0, 0, 0]), "epsilon"),
-    ("bounds below zero", lambda v: v.update(epsilon=[-1, 1, 1]), "epsilon"),
     ("bounds of 1e400", lambda v: v.update(epsilon=[10**400, 1, 1]), "bounds"),
     ("bounds of text", lambda v: v.update(epsilon="small"), "bounds"),
     ("two bounds", lambda v: v.update(epsilon=[1, 1]), "epsilon"),
@@ -114,8 +106,6 @@ OLD_BOUNDS = [
     ("a level of one", lambda v: v.update(gamma=1.0), "gamma"),
     ("a level of nothing", lambda v: v.update(gamma=0.0), "gamma"),
     ("a level of text", lambda v: v.update(gamma="high"), "bounds"),
-    ("a level that is a list", lambda v: v.update(gamma=[0.8]), "bounds"),
-    ("no samples", lambda v: v.update(n=0), "K and n"),
     ("half a sample", lambda v: v.update(n=0.5), "K and n"),
     ("a spacing below zero", lambda v: v.update(K=-1), "K and n"),
     ("an observer that is a number", lambda v: v.update(observer=3), "observer"),
@@ -144,7 +134,6 @@ OBSERVER = [
     ("weights that are a list", lambda v: v.update(weights=[1]), "observer"),
     ("other weights", lambda v: v["weights"].update({k: w + 1 for k, w in v["weights"].items()}), "damaged"),
     ("a mirror for a rotation", lambda v: v.update(R_BI=np.diag([1.0, 1.0, -1.0])), "R_BI"),
-    ("a stretched rotation", lambda v: v.update(R_BI=2 * np.eye(3)), "R_BI"),
     ("a mounting nowhere", lambda v: v.update(p_BI=np.full(3, NAN)), "p_BI"),
     ("scales of nothing", lambda v: v.update(input_scale=0 * v["input_scale"]), "scale"),
     ("scales of no number", lambda v: v.update(output_scale=v["output_scale"] * NAN), "output_scale"),
@@ -153,7 +142,6 @@ OBSERVER = [
     ("logs that are a number", lambda v: v.update(logs=3), "observer"),
     ("a robot that is a number", lambda v: v.update(robot=3), "robot"),
     ("a rate of text", lambda v: v.update(rate="fast"), "rate"),
-    ("another seed", lambda v: v.update(seed=v["seed"] + 1), "damaged"),
     ("legs without feet", lambda v: v.update(legs={"radius": [0.02]}), "legs"),
     ("no errors", lambda v: v.pop("errors"), "errors"),
 ]

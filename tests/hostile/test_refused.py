@@ -32,7 +32,7 @@ READERS = {
 LEARNT = (
     "estimate walk.parquet --filter coverage --observer observer.safetensors --bounds bounds.json"
 )
-SHARES = (0.0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999)
+SHARES = (0.0, 0.001, 0.1, 0.5, 0.9, 0.999)
 """Places in a file, where it is cut short or a byte is flipped."""
 
 

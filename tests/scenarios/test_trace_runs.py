@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from pendulum import swung
 from refusals import refused
+from synthetic import without
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace import long_logs
@@ -153,10 +154,7 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
 
 def test_runs_without_torques_are_traced():
     """One candidate alone is left: a delay of the rates."""
-    logs = [
-        replace(one, frame=one.frame.drop(columns="tau_shoulder")) for one in map(run, range(3))
-    ]
-    found = trace_logs(logs, PENDULUM)
+    found = trace_logs([without(run(seed), "tau_") for seed in range(3)], PENDULUM)
     assert (found.verdict, found.model_error) == ("no_residual", None)
 
 
