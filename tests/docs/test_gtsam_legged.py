@@ -12,12 +12,9 @@ import pytest
 from processes import printed
 
 import surefoot
-from surefoot.estimator.core.state import NavState
+from surefoot import Learnt, Scenario
+from surefoot.extend import Beginning, Ground, NavState, Segment, SurefootError, samples
 from surefoot.scenarios.estimate.bundled import Leg
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, samples
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.scenario import Scenario, Segment
 
 pytest.importorskip("gtsam", reason="gtsam is not installed: the extra surefoot[gtsam]")
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -5,15 +5,9 @@ from dataclasses import replace
 import pytest
 from arc_walk import Walk, make_walk
 
-from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
+from surefoot import CalibrateSettings, Learnt, Log, Scenario, TrainSettings, calibrate, train
+from surefoot.extend import Ground, Patch, Ranges, Segment
 from surefoot.scenarios.datasets import kept_walks
-from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.log import Log
-from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk as simulated
 
 SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))

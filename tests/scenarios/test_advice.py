@@ -8,6 +8,8 @@ import pytest
 from estimates import metrics_of
 from synthetic import without
 
+from surefoot import Learnt, Log, Robot, Scenario, import_log, run_filter, walk
+from surefoot.extend import Ground, Segment
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.advice import advice, likelihood, needs_advice
 from surefoot.scenarios.estimate.contact_sources import (
@@ -16,20 +18,12 @@ from surefoot.scenarios.estimate.contact_sources import (
     contact_lines,
     moving_in_contact,
 )
-from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.settings import (
     FilterSettings,
     NoiseSettings,
     StartSettings,
     StateSettings,
 )
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")

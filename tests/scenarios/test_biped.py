@@ -8,15 +8,9 @@ from estimates import metrics_of
 from refusals import refused
 
 from studies.measured import measured_folder
-from surefoot.scenarios.estimate.run import run_filter
+from surefoot import Robot, Scenario, import_log, run_filter, walk
+from surefoot.extend import Ground, Segment, SurefootError, effect
 from surefoot.scenarios.trace.run import trace_logs
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")

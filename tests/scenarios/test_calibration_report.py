@@ -49,7 +49,7 @@ def test_it_says_where_the_bounds_hold(files, tmp_path, capsys, monkeypatch):
     assert walks["bare"]["alarm"] == walks["alike"]["alarm"]
     assert "Coverage is lost" in page
     methods = read(tmp_path / "report" / "methods.csv", "method")
-    volume = {name: row["volume [(cm/s)^3]"] for name, row in methods.items()}
+    volume = {name: row["volume [(m/s)^3]"] for name, row in methods.items()}
     assert volume["mine"] < volume["mine, its box"]
     cases = read(tmp_path / "report" / "cases.csv", "case").values()
     assert {"terrain", "motion", "slip", "stride"} <= {row["split"] for row in cases}
@@ -60,7 +60,7 @@ def read(path: Path, key: str) -> dict[str, dict]:
 
 
 def test_a_method_short_of_errors_says_how_many_it_needs(files, tmp_path):
-    calibration(files, tmp_path / "bounds.json", K=60, report=tmp_path / "r").run()
+    calibration(files, tmp_path / "bounds.json", K=100, report=tmp_path / "r").run()
     methods = read(tmp_path / "r" / "methods.csv", "method")
     assert "needs" in methods["scenario"]["note"]
     assert not (tmp_path / "r" / "cases.csv").exists()

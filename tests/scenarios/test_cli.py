@@ -8,15 +8,12 @@ import pytest
 from processes import ended
 from refusals import refused
 
+from surefoot import FilterSettings, Learnt, Robot, import_log
+from surefoot.extend import robot_file
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.inputs import notes_on
-from surefoot.scenarios.estimate.settings import FilterSettings
 from surefoot.scenarios.reporting.tables import LEAST_NEEDED, WIDTH, in_terminal
-from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.catalog import robot_file
 
 
 @pytest.mark.parametrize(

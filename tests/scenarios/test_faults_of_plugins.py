@@ -6,19 +6,16 @@ import torch
 from own_package import forget_plugins
 from synthetic import synthetic_walk
 
+from surefoot import Bounds, Robot, run_filter
+from surefoot.extend import SurefootError, compensate_all, effect
 from surefoot.models.attribution.evidence import log_under_model
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.regions import calibrator, errors_needed
 from surefoot.models.observer.network import Network
 from surefoot.models.residuals.channels import CHANNELS
 from surefoot.models.residuals.layout import residual
-from surefoot.scenarios.estimate.run import run_filter
 from surefoot.sim.common import plugins as plugins_module
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import exits_raised, load_plugin, naming_plugins
-from surefoot.sim.effects import compensate_all, effect
 from surefoot.sim.gait.options import pattern_named
-from surefoot.sim.robot import Robot
 
 SOURCES = {
     "estimators": """

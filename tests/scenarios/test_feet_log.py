@@ -12,10 +12,11 @@ from synthetic import without
 from written import written
 
 from studies.measured import measured_folder
+from surefoot import Learnt, Log, Robot, import_log, read_recording
 from surefoot.estimator.evaluation.trajectory import Trajectory, with_mounting
 from surefoot.estimator.run import every_row
+from surefoot.extend import Beginning
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
-from surefoot.scenarios.estimate.contract import Beginning, Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import (
     estimated,
@@ -26,9 +27,6 @@ from surefoot.scenarios.estimate.run import (
 )
 from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.sim.importing.map import ImportMap
-from surefoot.sim.importing.recording import import_log, read_recording
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
 
 SCALER = measured_folder() / "scaler_trot"
 NAMES = {"FL": "a", "FR": "b", "RL": "c_1", "RR": "d"}
@@ -110,9 +108,8 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     feet.write(path)
     assert ended(f"compare {path} -o {tmp_path}/compared") is None
     said = capsys.readouterr().out
-    assert "radar_leg (the log names no robot: say which)" in said
-    assert "coverage, coverage_gml, coverage_persistent" in said
-    assert said.count("(needs observer and bounds)") == 1
+    assert "coverage, coverage_gml, coverage_persistent, velocity" in said
+    assert said.count("radar_leg (the log names no robot: say which)") == 1
     assert "No recording" in (tmp_path / "compared" / "report.html").read_text()
     assert ended(f"trace {path} -o {tmp_path}/traced") is None
     assert "too short" in capsys.readouterr().out

@@ -5,15 +5,13 @@ from dataclasses import replace
 import pytest
 from refusals import refused
 
+from surefoot import Scenario, walk
+from surefoot.extend import Ground, Segment, effect
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.compare import compare_files
 from surefoot.scenarios.estimate.file import estimate_file
 from surefoot.scenarios.settings import CompareSettings, EstimateSettings
-from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import save_effects
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 COURSE = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
 HAS = [effect("encoder_offset", "RL_thigh", -0.02), effect("link_length", "FR_calf", 0.006)]

@@ -17,18 +17,15 @@ from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_a
 from refusals import refused
 from synthetic import synthetic_walk
 
+from surefoot import Bounds, Learnt, Robot, Sample, StreamingEstimator
 from surefoot.estimator.core.checks import DivergedError, SampleError
-from surefoot.models.calibration.bounds import Bounds
+from surefoot.extend import Beginning, Stream, SurefootError, samples
 from surefoot.models.observer.observer import observer_of_torch
 from surefoot.scenarios.estimate import streaming
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
 from surefoot.scenarios.estimate.settings import FilterSettings, tuned
-from surefoot.scenarios.estimate.streaming import StreamingEstimator
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
-from surefoot.sim.robot import Robot
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
 PERIOD = 0.002

@@ -9,12 +9,10 @@ import pytest
 from refusals import refused
 from synthetic import without
 
-from surefoot.models.observer.predict import prediction_errors
-from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
+from surefoot import Robot, Scenario, TrainSettings, train
+from surefoot.extend import Ground, Segment, declared_model, effect, prediction_errors
 from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.as_walked import load_as_walked
-from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
@@ -33,11 +31,7 @@ from surefoot.scenarios.trace.training_walks import (
     with_style_share,
 )
 from surefoot.sim.common.files import bundled
-from surefoot.sim.effects import effect
 from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import walking_style
 

@@ -13,18 +13,14 @@ from refusals import refused
 from synthetic import without
 
 from studies.blind.outside_effects import ThermalGyroDrift
+from surefoot import Robot, Scenario, walk
+from surefoot.extend import AXES, Effect, Estimator, Ground, Segment, Traced, with_columns
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.contract import Estimator
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.settings import tuned
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.sim.effects import CATALOGUE, add
-from surefoot.sim.effects.base import AXES, Effect, Traced, with_columns
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 

@@ -12,13 +12,10 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from surefoot import Log, Robot, Scenario, walk
+from surefoot.extend import Ground, Segment
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
 from surefoot.sim.log.schema import GROUPS
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 EPOCH = 1_700_000_000
 """Start of the robot's clock, which counts from 1970 [s]."""

@@ -7,12 +7,10 @@ import pytest
 from estimates import metrics_of
 from refusals import refused
 
+from surefoot import Log, Scenario, walk
 from surefoot.scenarios.estimate import radar_velocity as module
 from surefoot.scenarios.estimate.radar_velocity import radar_velocity
 from surefoot.scenarios.estimate.run import Learnt, run_all, run_filter
-from surefoot.sim.log import Log
-from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import walk
 
 COURSE = """
 name = "radar_test"

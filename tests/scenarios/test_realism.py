@@ -9,6 +9,8 @@ import pytest
 from refusals import refused
 from synthetic import without
 
+from surefoot import Robot, Scenario, walk
+from surefoot.extend import Ground, Segment, Sensors, effect
 from surefoot.models.realism import card
 from surefoot.models.realism.card import tolerances
 from surefoot.scenarios.cli.main import main
@@ -21,14 +23,8 @@ from surefoot.scenarios.trace.realism import (
     leg_drifts,
     seen_as,
 )
-from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.options import GaitOptions
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walk import walk
 
 DRAWN = SimulatedRobot("as drawn")
 

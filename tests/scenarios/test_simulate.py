@@ -16,13 +16,11 @@ from courses import course_file
 from dataset_index import digests, read_index
 from refusals import refusal, refused
 
+from surefoot import Log, SimulateSettings, simulate
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
-from surefoot.scenarios.datasets.simulate import simulate
-from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import MANIFEST, command_run
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.log import Log
 from surefoot.sim.walk import SETTLING_TIME
 
 RANGES = "[ranges]\nmu = [0.8, 1.2]\npayload = [0.0, 2.0]\n"

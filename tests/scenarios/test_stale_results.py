@@ -11,14 +11,14 @@ from own_package import PACKAGES
 from refusals import refused
 
 from studies import observers
+from surefoot import Learnt, Robot, Scenario, simulate, walk
+from surefoot.extend import Ground, Segment
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.index import recipe
-from surefoot.scenarios.datasets.simulate import simulate
-from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.settings import read_tuned
 from surefoot.scenarios.experiments import products
@@ -29,10 +29,6 @@ from surefoot.scenarios.trace import loop
 from surefoot.sim.common import sources
 from surefoot.sim.common.sources import imported_sources, sources_digest
 from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 from surefoot.sim.walking.batch import Job, known_robot
 
 WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=0.2)
@@ -40,12 +36,7 @@ WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=
 
 def forget():
     """As another process would find things."""
-    for one in (
-        sources_digest,
-        sources._folders,
-        known_robot,
-        products.tuned.__globals__["read_tuned"],
-    ):
+    for one in (sources_digest, sources._folders, known_robot, read_tuned):
         one.cache_clear()
 
 
@@ -257,11 +248,10 @@ def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypa
             loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop"))
         return json.dumps(found)
 
-    found = [recipe_of(log)]
-    found.append(recipe_of(replace(log, meta=replace(log.meta, model={"ground_evenness": 0.01}))))
-    found.append(recipe_of(replace(log, frame=log.frame.assign(gyro_x=0.0))))
-    edited(part)
-    found.append(recipe_of(log))
-    edited(boots[1])
-    found.append(recipe_of(log))
+    uneven = replace(log.meta, model={"ground_evenness": 0.01})
+    others = replace(log, meta=uneven), replace(log, frame=log.frame.assign(gyro_x=0.0))
+    found = [recipe_of(one) for one in (log, *others)]
+    for path in (part, boots[1]):
+        edited(path)
+        found.append(recipe_of(log))
     assert len(set(found)) == 5

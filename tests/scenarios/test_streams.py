@@ -9,19 +9,22 @@ from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from synthetic import without
 
+from surefoot import Learnt, Log, Robot, Scenario, StreamingEstimator, walk
 from surefoot.estimator.core.checks import SampleError
-from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import every_row
-from surefoot.scenarios.estimate import file
-from surefoot.scenarios.estimate import radar_velocity as radar
-from surefoot.scenarios.estimate.contract import (
+from surefoot.extend import (
     Beginning,
-    Learnt,
+    Ground,
     Needs,
+    Segment,
     Stream,
+    Trajectory,
     check_sample,
     samples,
+    with_velocities,
 )
+from surefoot.scenarios.estimate import file
+from surefoot.scenarios.estimate import radar_velocity as radar
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.run import (
     estimated,
@@ -31,13 +34,7 @@ from surefoot.scenarios.estimate.run import (
     stepped,
 )
 from surefoot.scenarios.estimate.settings import FilterSettings, tuned
-from surefoot.scenarios.estimate.streaming import StreamingEstimator
 from surefoot.scenarios.settings import EstimateSettings
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log, with_velocities
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 ARRAYS = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
 CUTS = (0, 1, 700, 701, 1333, 4000)

@@ -9,20 +9,17 @@ import pytest
 from refusals import refused
 from synthetic import without
 
+from surefoot import Robot, Scenario, walk
+from surefoot.extend import Ground, Patch, Segment, effect
 from surefoot.models.attribution.data import dead_contacts, readings, split_of, untraceable_reason
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.importing.sections import EVENNESS
 from surefoot.sim.log import Log, Meta
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 COURSE = (

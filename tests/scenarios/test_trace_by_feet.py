@@ -9,20 +9,11 @@ from synthetic import without
 
 from studies.hardware.walks_by_feet import aligned_walk
 from studies.measured import measured_folder
+from surefoot import Log, Robot, Scenario, Trace, read_recording, walk
+from surefoot.extend import Ground, Segment, Sensors, effect, known_robots, machine_for_log
 from surefoot.models.attribution.noise_floor import POINT_FEET_LEVELS
-from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.recording import read_recording
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.robot.catalog import known_robots
-from surefoot.sim.robot.machine import machine_for_log
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walk import walk
 
 SPOT = Robot.load("spot_class")
 SCALER = measured_folder() / "scaler_trot"

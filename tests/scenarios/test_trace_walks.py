@@ -8,7 +8,18 @@ from pushes import pushed
 from scipy.spatial.transform import Rotation
 from synthetic import without
 
-from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot import Learnt, Robot, Scenario, walk
+from surefoot.extend import (
+    BIN,
+    Effect,
+    Ground,
+    Segment,
+    Traced,
+    Trajectory,
+    effect,
+    reference,
+    with_columns,
+)
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import linearise, log_under_model
 from surefoot.models.attribution.forces import (
@@ -20,8 +31,6 @@ from surefoot.models.attribution.forces import (
     slip_effect,
     slip_notes,
 )
-from surefoot.models.residuals.binning import BIN
-from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.trace.filters import (
     before_and_after,
     causes_of_drift,
@@ -30,13 +39,7 @@ from surefoot.scenarios.trace.filters import (
     drift_parts,
 )
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
-from surefoot.sim.effects import effect
-from surefoot.sim.effects.base import Effect, Traced, with_columns
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.scenario_catalog import scenario_file
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 

@@ -7,19 +7,15 @@ import pytest
 from estimates import metrics_of
 from refusals import refused
 
+from surefoot import Learnt, Log, Robot, Scenario, walk
 from surefoot.estimator.metrics import Metrics
+from surefoot.extend import Ground, Segment
 from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.run import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.settings import BUNDLED_PARAMETERS, read_tuned, tuned
 from surefoot.scenarios.settings import TuneSettings
 from surefoot.scenarios.tune import PRICE, price_of, search
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 def bowl(values):

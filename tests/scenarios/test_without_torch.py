@@ -7,9 +7,7 @@ import pytest
 from courses import course_file
 from processes import python
 
-from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
-from surefoot.sim.log import Log
+from surefoot import Log, TrainSettings, train
 
 pytestmark = pytest.mark.long
 WITHOUT_TORCH = """
