@@ -75,12 +75,6 @@ def test_chosen_filters_alone_run_and_identical_ones_are_said_to_be(log, tmp_pat
     assert not (tmp_path / "no").exists()
 
 
-def test_a_folder_for_a_log_names_the_logs_in_it(log, tmp_path):
-    assert "no log is in it" in str(ended(f"info {tmp_path}"))
-    log.write(tmp_path / "mine.parquet")
-    assert "mine.parquet" in str(ended(f"estimate {tmp_path} --filter imu"))
-
-
 def test_a_log_of_another_robot_is_said_to_be(log):
     robots = Robot.load("spot_class"), Robot.load("v60_class")
     said = [notes_on(log, robot, Learnt(), FilterSettings()) for robot in robots]

@@ -46,18 +46,6 @@ def test_version(capsys):
     assert capsys.readouterr().out.strip() == f"surefoot {surefoot.__version__}"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "suggestion"),
-    [
-        ("suite spott -o new", "did you mean 'spot'?"),
-        ("estimate log.parquet --filtr leg", "--filtr leg; did you mean '--filter'?"),
-    ],
-)
-def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, capsys):
-    message = ended(arguments)
-    assert suggestion in f"{message}{capsys.readouterr().err}"
-
-
 ABSENT = {
     "train gone.parquet -o o.safetensors": "gone.parquet: no such file",
     "import --guess gone.csv": "gone.csv: no such file",

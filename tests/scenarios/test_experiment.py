@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from refusals import refused
 
 from surefoot.scenarios.experiments.file import Experiment, cells_of
 from surefoot.scenarios.experiments.report import experiment, falls
@@ -174,21 +173,6 @@ def test_other_ways_to_learn_are_tables_beside(grid, rows, tmp_path, monkeypatch
     same = shown_first(rows, Experiment.load(grid / "grid.toml"))
     assert len(first) == len(same)
     assert "How observers and bounds are learnt" in (out / "table.md").read_text()
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ('name = "as built"', 'name = "as drawn"', "names of conditions must be"),
-        ("contact_delay", "smell", "[[condition]] 2 sensors: unknown key 'smell'"),
-        ("[observer]", "[[further]]\nmethod = 'none'\n[observer]", "unknown method 'none'"),
-    ],
-)
-def test_bad_files_are_one_clear_line(grid, tmp_path, old, new, said):
-    for path in grid.glob("*.toml"):
-        (tmp_path / path.name).write_text(path.read_text())
-    (tmp_path / "bad.toml").write_text(GRID.replace(old, new))
-    assert said in refused(r"bad\.toml", Experiment.load, tmp_path / "bad.toml")
 
 
 @pytest.mark.parametrize(

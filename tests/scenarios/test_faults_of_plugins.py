@@ -20,26 +20,19 @@ from surefoot.sim.gait.options import pattern_named
 SOURCES = {
     "estimators": """
 from dataclasses import replace
-from surefoot.extend import InvariantFilter, Needs, Update
-class Mine:
-    name, description = "mine", "One of a user's own."
-    needs, parameters = Needs(robot=False), ()
-    def start(self, robot, learnt, parameters, beginning):
-        return Stream(beginning)
+from surefoot.extend import Update
+from surefoot.scenarios.estimate.bundled import Imu
+class Mine(Imu):
+    name = "mine"
+    def start(self, *begun):
+        return Stream(super().start(*begun))
 class Stream:
-    def __init__(self, beginning):
-        self.filter = InvariantFilter(beginning.state, beginning.covariance)
-        self.t = None
-    @property
-    def state(self):
-        return self.filter.state
-    @property
-    def covariance(self):
-        return self.filter.covariance
+    def __init__(self, inner):
+        self.inner = inner
     def step(self, sample):
-        if self.t is not None:
-            self.filter.predict(sample.gyro, sample.accel, sample.t - self.t)
-        self.t = sample.t
+        self.inner.step(sample)
+    state = property(lambda self: self.inner.state)
+    covariance = property(lambda self: self.inner.covariance)
 """,
     "effects": """
 from surefoot.extend import Effect, Traced
@@ -161,7 +154,7 @@ FAULTS = [
     ("estimators", f"{STEP} exit(0)", "SystemExit"),
     ("estimators", f"{STEP} Update(np.zeros(2))", "v_I"),
     ("estimators", f"{STEP} Update(np.full(3, np.nan))", "not finite"),
-    ("estimators", f"{STATE} replace(self.filter.state, p_GI=np.full(3, np.nan)))", "not finite"),
+    ("estimators", f"{STATE} replace(self.inner.state, p_GI=np.full(3, np.nan)))", "not finite"),
     ("estimators", f"{COVARIANCE} np.full((15, 15), np.nan))", "not finite"),
     ("estimators", f"{COVARIANCE} np.eye(14))", "reshape"),
     ("estimators", "Stream.run = lambda self, log, rows, more: None", "NoneType"),

@@ -133,19 +133,6 @@ def test_what_is_missing_is_one_line(tmp_path, feet):
     assert "\n" not in said
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda f: f.drop(columns="foot_b_y"), "column foot_b_y is missing"),
-        (lambda f: f.assign(foot_e_x=0.0), "column contact_e is missing beside foot_e_x"),
-        (lambda f: f.assign(force_a_x=0.0), "column force_b_x is missing"),
-        (lambda f: f.assign(foot_a=0.0), "unknown column foot_a"),
-    ],
-)
-def test_bad_columns_of_feet_are_named(tmp_path, feet, change, said):
-    refused(said, replace(feet, frame=change(feet.frame)).write, tmp_path / "bad.parquet")
-
-
 def test_a_map_takes_feet_in_millimetres_and_says_which_bodies_they_are(tmp_path):
     rows = pd.DataFrame({"t": [0.0, 0.01, 0.02], "p": [100.0, 110.0, 120.0], "n": [1.0, 2.0, 3.0]})
     rows.to_csv(tmp_path / "robot.csv", index=False)

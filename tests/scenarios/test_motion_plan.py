@@ -14,7 +14,6 @@ from surefoot.scenarios.motion_plan import (
     plan_text,
     recordings_to_make,
 )
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
 
 KEYS = [("one", "x"), ("other", "x")]
@@ -52,11 +51,6 @@ def test_each_motion_is_recorded_for_the_target_that_takes_longest_of_those_it_s
     }
     assert recordings_to_make(found) == {"walk": 30.3, "stand": 1.0}
     assert "record at least: walk, 31 s; stand, 1 s\n" in plan_text(found)
-
-
-def test_an_unknown_effect_is_answered_by_the_nearest():
-    with pytest.raises(SurefootError, match="did you mean 'gyro_scale'"):
-        plan_motions(Robot.load("spot_class"), ["gyro_scal"])
 
 
 @pytest.mark.slow

@@ -35,21 +35,6 @@ def test_a_log_is_shown_as_it_is(log, tmp_path):
     assert "observer" not in text
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("missing.rrd", None, "no such file"),
-        ("robot.xml", b"<mujoco/>", r"opens recordings .* draws a robot"),
-        ("empty.rrd", b"", "not a rerun recording"),
-    ],
-)
-def test_what_is_no_recording_is_one_clear_line(tmp_path, name, content, said):
-    path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content)
-    assert str(path) in refused(said, view, path)
-
-
 @pytest.mark.parametrize("web", [False, True])
 def test_the_server_listens_on_this_machine_alone(tmp_path, monkeypatch, web):
     path = written(tmp_path / "walk.rrd", b"RRF2....")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from processes import ended
-from refusals import refused
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state, start_covariance
@@ -56,17 +55,6 @@ def test_the_start(log, settings):
     assert_allclose(plain[1], start_covariance(usual, std))
     turned, _ = read_settings(None, ("state.q_GI=[0, 0, 0, 1]",)).beginning(log)
     assert_allclose(turned.R_GI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("state.q_GI=[1, 1, 0, 0]", "no unit quaternion"),
-        ("filters.lag.gyro=1e-3", "unknown filter 'lag'"),
-    ],
-)
-def test_a_mistake_is_one_line(line, words):
-    assert line in refused(words, read_settings, None, (line,))
 
 
 def test_a_lost_filter_ends_with_code_3_and_its_trajectory(log, tmp_path, capsys):

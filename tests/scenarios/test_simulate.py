@@ -20,24 +20,18 @@ from surefoot import Log, SimulateSettings, simulate
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
 from surefoot.sim.common.files import MANIFEST, command_run
-from surefoot.sim.effects.file import load_effects
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.walk import SETTLING_TIME
 
 RANGES = "[ranges]\nmu = [0.8, 1.2]\npayload = [0.0, 2.0]\n"
-EFFECTS = """
-[[effect]]
-name = "gyro_scale"
-target = "z"
-value = 0.05
-unit = "ratio"
-"""
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, cliff) -> Path:
     monkeypatch.chdir(tmp_path)
     course_file(tmp_path, 1.5, RANGES)
-    (tmp_path / "effects.toml").write_text(EFFECTS)
+    save_effects(tmp_path / "effects.toml", [effect("gyro_scale", "z", 0.05)])
     return tmp_path
 
 

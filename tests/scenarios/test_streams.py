@@ -27,7 +27,6 @@ from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.run import (
-    estimated,
     estimated_in_chunks,
     joined_trajectory,
     run_filter,
@@ -105,15 +104,6 @@ def estimated_raw(name, log, robot, learnt):
         rows = np.arange(-seen % stride, len(part.t), stride)
         yield stream.run(part, rows, True)
         seen += len(part.t)
-
-
-@pytest.mark.parametrize("name", ["leg", "imu"])
-def test_a_log_that_comes_in_pieces_gives_the_trajectory_of_the_whole(name, log, robot):
-    one = estimator_named(name)
-    # The first piece must show how the robot stands.
-    parts = [log.rows(slice(0, 700)), log.rows(slice(700, 701)), log.rows(slice(701, None))]
-    found = joined_trajectory(estimated_in_chunks(one, parts, robot, Learnt()))
-    assert_same(found, estimated(one, log, robot, Learnt()), 0.0)
 
 
 def test_an_estimator_that_needs_rates_says_what_derives_them(log, robot):
