@@ -2,54 +2,26 @@
 
 import os
 import tomllib
-from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 from own_package import found
 from processes import printed, python
 from refusals import refused
 from synthetic import without
+from warming import GyroWarming
 
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot import Robot, Scenario, walk
-from surefoot.extend import AXES, Effect, Estimator, Ground, Segment, Traced, with_columns
+from surefoot.extend import AXES, Effect, Estimator, Ground, Segment
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.settings import tuned
-from surefoot.scenarios.experiments.file import Experiment
 from surefoot.sim.effects import CATALOGUE, add
 
 ROBOT = Robot.load("spot_class")
 
 
 SIZE = 0.015  # rad/s
-
-
-class GyroWarming(Effect):
-    """A gyro's bias grows to this size while it warms up, with a time constant of 16 s."""
-
-    name = "gyro_warming"
-    unit = "rad/s"
-    bounds = (-0.5, 0.5)
-    targets = AXES
-    traced = Traced(channels=("imu_gyro", "leg_velocity"), step=1e-3, needs=("imu",))
-
-    def alter_streams(self, streams, robot):
-        gyro = streams.gyro.copy()
-        gyro[:, AXES.index(self.target)] += self.value * settled(streams.t)
-        return replace(streams, gyro=gyro)
-
-    def compensate(self, log, robot):
-        column = f"gyro_{self.target}"
-        reading = log.frame[column].to_numpy() - self.value * settled(log.t)
-        return with_columns(log, {column: reading}), robot
-
-
-def settled(t):
-    return 1.0 - np.exp(-(t - t[0]) / 16.0)
 
 
 @pytest.fixture(scope="module")
@@ -124,14 +96,6 @@ def file(log, tmp_path_factory):
     path = tmp_path_factory.mktemp("walk") / "walk.parquet"
     log.rows(slice(0, 3500)).write(path)
     return path
-
-
-def test_an_own_estimator_is_in_every_list():
-    with found("own_estimator"):
-        assert list(ESTIMATORS)[-1] == "standing_feet"
-        assert "standing_feet" in Experiment("one", ()).filters
-        mine = ESTIMATORS["standing_feet"]()
-        assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
 
 
 def test_an_own_estimator_is_tabled_and_drawn(file, tmp_path):
