@@ -14,6 +14,7 @@ from shutil import rmtree
 
 import numpy as np
 import pytest
+from courses import course_file
 from forked import copied
 from good_files import FILES
 from PIL import Image
@@ -24,15 +25,6 @@ from surefoot.models.observer.observer import Observer, observer_of_torch
 from surefoot.scenarios.datasets.simulate import simulate
 from surefoot.scenarios.settings import SimulateSettings
 
-WALK = """
-name = "{name}"
-robot = "spot_class"
-role = "{role}"
-stand = 0.5
-[[segment]]
-duration = {seconds}
-forward = 0.5
-"""
 GRID = """
 scenarios = ["a.toml", "c.toml"]
 seeds = [0, 1]
@@ -77,8 +69,8 @@ QUICK = ("simulate", "estimate", "import", "export")
 def inputs(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("interrupted") / "inputs"
     folder.mkdir()
-    for name, role, seconds in (("a", "train", 10.0), ("c", "test", 2.0)):
-        (folder / f"{name}.toml").write_text(WALK.format(name=name, role=role, seconds=seconds))
+    course_file(folder, 10.0, name="a", role="train")
+    course_file(folder, 2.0, name="c")
     (folder / "grid.toml").write_text(GRID)
     walk = synthetic_walk(0, 30.0, noise=0.1, robot="spot_class")
     walk.write(folder / "walk.parquet")

@@ -65,8 +65,8 @@ def test_contacts_that_come_late_are_found(walked):
     log, robot = walked
     names = [f"contact_{leg}" for leg in log.legs]
     rows = np.maximum(np.arange(len(log.t)) - round(0.04 * log.rate), 0)
-    late = log.with_columns({name: log.frame[name].to_numpy()[rows] for name in names})
-    said = _advised(late, robot, FilterSettings())
+    lagging = log.with_columns({name: log.frame[name].to_numpy()[rows] for name in names})
+    said = _advised(lagging, robot, FilterSettings())
     assert "late = { contact = 0.04 }" in said
 
 

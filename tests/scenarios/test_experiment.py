@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from courses import course_file
 
 from surefoot.scenarios.experiments.file import Experiment, cells_of
 from surefoot.scenarios.experiments.report import experiment, falls
@@ -20,14 +21,7 @@ from surefoot.scenarios.training import many_walks
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
 
-WALK = """
-name = "{name}"
-robot = "spot_class"
-role = "{role}"
-segment = [{{duration = {seconds}, forward = {speed}, turn = 0.2}}]
-[ranges]
-speed = [0.9, 1.1]
-"""
+MORE = "turn = 0.2\n[ranges]\nspeed = [0.9, 1.1]\n"
 GRID = """
 title = "A small grid"
 scenarios = ["learn.toml", "hold.toml", "try.toml"]
@@ -54,17 +48,12 @@ source = "a test"
 """
 
 
-def walked(folder: Path, name: str, role: str, seconds: int, speed: float) -> None:
-    text = WALK.format(name=name, role=role, seconds=seconds, speed=speed)
-    (folder / f"{name}.toml").write_text(text)
-
-
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("grid")
-    walked(folder, "learn", "train", 11, 0.5)
-    walked(folder, "hold", "calibrate", 22, 0.6)
-    walked(folder, "try", "test", 4, 0.5)
+    course_file(folder, 11, MORE, "learn", "train")
+    course_file(folder, 22, MORE, "hold", "calibrate", 0.6)
+    course_file(folder, 4, MORE, "try")
     (folder / "grid.toml").write_text(GRID)
     (folder / "built.toml").write_text(BUILT)
     return folder
@@ -121,7 +110,7 @@ def test_the_folder_holds_tables_report_figures_and_recordings(grid, rows):
 @pytest.mark.long
 def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
     before = made(grid)
-    walked(grid, "try", "test", 5, 0.5)
+    course_file(grid, 5, MORE, "try")
     how = GridSettings(grid / "out", force=True, no_recordings=True)
     again = experiment(grid / "grid.toml", how)
     added = {kind: set(files) - set(before[kind]) for kind, files in made(grid).items()}
@@ -136,7 +125,7 @@ def test_a_changed_scenario_makes_only_what_it_decides(grid, rows):
 @pytest.mark.long
 def test_finished_rows_need_no_products(grid, rows, tmp_path, capsys):
     data, cache = tmp_path / "rows", tmp_path / "cache"
-    walked(grid, "try", "test", 4, 0.5)
+    course_file(grid, 4, MORE, "try")
     how = GridSettings(tmp_path / "a", cache=grid / "out/cache", no_recordings=True, data=data)
     first = experiment(grid / "grid.toml", how)
     pd.testing.assert_frame_equal(first, rows)

@@ -1,11 +1,13 @@
 """A log that says where its feet are needs neither joint angles nor a robot."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from estimates import metrics_of
+from given_feet import with_feet_for_joints
 from processes import ended
 from refusals import refused
 from synthetic import without
@@ -47,18 +49,9 @@ def log(log):
 @pytest.fixture(scope="module")
 def feet(log, point_feet) -> Log:
     """The walk as a robot of legs a, b, c_1 and d would log it that hides its joints."""
-    places = point_feet.feet_I(log.q)
-    others = [c for c in log.frame if c == "t" or c.startswith(("gyro", "accel", "contact", "ref"))]
-    frame = log.frame[others].rename(
-        columns={f"contact_{leg}": f"contact_{NAMES[leg]}" for leg in NAMES}
-    )
-    columns = {
-        f"foot_{name}_{axis}": places[:, leg, k]
-        for leg, name in enumerate(NAMES.values())
-        for k, axis in enumerate("xyz")
-    }
-    frame = pd.concat([frame, pd.DataFrame(columns)], axis=1)
-    return Log(frame, replace(log.meta, robot=None, scenario=None, effects=()), "feet")
+    feet = with_feet_for_joints(log, point_feet)
+    renamed = {n: re.sub("FL|FR|RL|RR", lambda m: NAMES[m[0]], n) for n in feet.frame}
+    return replace(feet, frame=feet.frame.rename(columns=renamed))
 
 
 @pytest.mark.parametrize("name", ["leg", "leg_slip"])
@@ -117,17 +110,15 @@ def test_commands_run_without_a_robot_and_say_what_needs_one(tmp_path, capsys, f
     assert "its foot positions suffice for estimate, compare, align and trace" in said
 
 
-def test_what_is_missing_is_one_line(tmp_path, feet):
+def test_what_is_missing_is_one_line(tmp_path, log, feet):
     bare = without(feet, "foot")
     refused(r"lacks foot \(foot_a_x, .*\) and q \(q_<joint>\)", run_filter, "leg", bare, None)
     declared = ({"name": "gyro_bias", "target": "x", "value": 0.01, "unit": "rad/s"},)
     declaring = replace(feet, meta=replace(feet.meta, effects=declared))
     assert metrics_of("leg", declaring, None)
     path = tmp_path / "feet.parquet"
-    names = {f"contact_{name}": f"contact_{leg}" for leg, name in NAMES.items()}
-    names |= {f"foot_{b}_{x}": f"foot_{a}_{x}" for a, b in NAMES.items() for x in "xyz"}
-    known = replace(feet.meta, robot="spot_class")
-    replace(feet, frame=feet.frame.rename(columns=names), meta=known).write(path)
+    named = with_feet_for_joints(log, Robot.load("spot_class"))
+    replace(named, meta=replace(named.meta, robot="spot_class")).write(path)
     said = str(ended(f"train {path} -o {tmp_path}/observer"))
     assert "lacks q (q_" in said
     assert "\n" not in said

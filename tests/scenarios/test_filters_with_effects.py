@@ -60,8 +60,8 @@ def test_every_filter_of_a_comparison_has_them(files, tmp_path):
         out = tmp_path / str(name)
         table, _ = compare_files(CompareSettings(logs, out, effects=chosen))
         errors.append(table.set_index("filter")["RPE_trans [m]"])
-        told = "link_length FR_calf" in (out / "report.html").read_text()
-        assert told == (name is not None)
+        named = "link_length FR_calf" in (out / "report.html").read_text()
+        assert named == (name is not None)
     without, with_them = errors
     assert (with_them[["leg", "leg_slip"]] < 0.5 * without[["leg", "leg_slip"]]).all()
     assert with_them["imu"] == without["imu"]  # it does not use the legs

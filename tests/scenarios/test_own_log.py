@@ -111,10 +111,10 @@ def test_a_log_as_a_robot_writes_it_is_compared_after_one_wrong_turn(
     with pytest.raises(SystemExit) as refused:
         main(["import", ".", "--map", "mine.toml", "-o", "mine.parquet"])
     captured = capsys.readouterr()
-    told = f"{captured.err}{refused.value.code if isinstance(refused.value.code, str) else ''}"
-    assert len(told.strip().splitlines()) == 1
-    assert "another clock" in told
-    assert "surefoot align" in told
+    line = f"{captured.err}{refused.value.code if isinstance(refused.value.code, str) else ''}"
+    assert len(line.strip().splitlines()) == 1
+    assert "another clock" in line
+    assert "surefoot align" in line
     assert not Path("mine.parquet").exists()
 
     # What align prints goes into the map as it is, in place of the draft's own.

@@ -92,9 +92,9 @@ def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
 def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):
     walker = Robot.load("v60_class")
     found = module.compare_walks(measured, robot, replace(DRAWN, walker=walker))
-    own = module.compare_walks(measured, robot, DRAWN)
+    unscaled = module.compare_walks(measured, robot, DRAWN)
     assert {one.robot.name for one in found.simulated} == {"v60_class"}
-    rows, plain = ({r.quantity: r for r in c.card.rows} for c in (found, own))
+    rows, plain = ({r.quantity: r for r in c.card.rows} for c in (found, unscaled))
     longer = walker.leg_length / robot.leg_length
     slower = gait_for(walker, 0.0).period / plain["stride period"].measured
     for name, factor in (

@@ -276,15 +276,15 @@ def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
     Path("walks").mkdir()
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    gone, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
+    dropped, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
     other = Path(f"walks/.theirs.parquet.{dead.pid}.tmp")
     living = Path(f"walks/.short_1.parquet.{os.getppid()}.tmp")
     index = Path(f"walks/_dataset/.index.parquet.{dead.pid}.tmp")
     index.parent.mkdir()
-    for path in (gone, ours, other, living, index):
+    for path in (dropped, ours, other, living, index):
         path.write_text("half")
     short(seeds="0:2")
-    assert not gone.exists()
+    assert not dropped.exists()
     assert not index.exists()
     assert other.exists()
     assert living.exists()

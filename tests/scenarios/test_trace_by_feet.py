@@ -117,9 +117,9 @@ def test_no_robot_has_an_effect_that_only_its_point_feet_feign():
     left: dict[str, list[float]] = {name: [] for name in POINT_FEET_LEVELS}
     for name in ("spot_class", "v60_class", "go1", "go2", "aliengo", "mini_cheetah", "b2"):
         robot = Robot.load(name)
-        own = -np.mean(robot.feet_I(robot.q_home[None])[..., 2])
+        tall = -np.mean(robot.feet_I(robot.q_home[None])[..., 2])
         for share in (0.6, 1.0, 1.3):
-            v = float(share * 0.5 * own / height)
+            v = float(share * 0.5 * tall / height)
             segments = (
                 Segment(3.2, v, turn=0.3),
                 Segment(3.2, 0.5 * v, 0.2 * v, turn=-0.5),

@@ -191,9 +191,9 @@ PUSH = (5.0, 6.2)
 
 
 def walked(seed):
-    own = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
-    own += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
-    log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, seed, [LONGER, *own], declared=False)
+    per_run = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
+    per_run += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
+    log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, seed, [LONGER, *per_run], declared=False)
     return pushed(log, ROBOT, [PUSH], (0.0, 30.0, -15.0)) if seed == 1 else log
 
 
@@ -285,15 +285,15 @@ def test_the_size_that_both_walks_share_is_found(found):
 
 @pytest.mark.slow
 def test_each_walk_has_a_zero_and_a_clock_of_its_own(found):
-    for run, zero, late in zip(found.runs, ZEROS, LATE, strict=False):
+    for run, zero, lag in zip(found.runs, ZEROS, LATE, strict=False):
         assert of_run(run, "encoder_offset")["FL_thigh"] == pytest.approx(zero, abs=0.004)
-        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(late, abs=0.002)
+        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(lag, abs=0.002)
 
 
 @pytest.mark.slow
 def test_the_push_is_told_from_what_the_robot_lacks(found):
-    (told,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
-    assert "of run 2" in told
+    (note,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
+    assert "of run 2" in note
 
 
 @pytest.mark.slow
