@@ -249,6 +249,11 @@ BAD_SAMPLES = {
 }
 
 
+def packed(stream: StreamingEstimator) -> np.ndarray:
+    assert stream.state is not None
+    return stream.state.pack()
+
+
 @pytest.mark.parametrize("at", [0, 1, 20, 60])
 @pytest.mark.parametrize("what", BAD_SAMPLES)
 def test_a_bad_sample_is_refused_alone(what, at):
@@ -270,10 +275,8 @@ def test_a_bad_sample_is_refused_alone(what, at):
             skipped.append(row)
         alone.step(sample)
     assert len(skipped) == (0 if at == 0 and what in ("repeated", "late") else 1)
-    assert online.state is not None
-    assert alone.state is not None
     if at > 1:
-        np.testing.assert_array_equal(online.state.p_GI, alone.state.p_GI)
+        np.testing.assert_array_equal(packed(online), packed(alone))
 
 
 def test_samples_may_share_a_buffer():
@@ -285,9 +288,7 @@ def test_samples_may_share_a_buffer():
         online.step(sample._replace(gyro=buffer))
         alone.step(sample)
     np.testing.assert_array_equal(online.covariance, alone.covariance)
-    assert online.state is not None
-    assert alone.state is not None
-    np.testing.assert_array_equal(online.state.R_GI, alone.state.R_GI)
+    np.testing.assert_array_equal(packed(online), packed(alone))
 
 
 def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):

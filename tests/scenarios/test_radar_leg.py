@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from courses import course_file
 from estimates import metrics_of
 from refusals import refused
 
@@ -12,20 +13,11 @@ from surefoot.scenarios.estimate import radar_velocity as module
 from surefoot.scenarios.estimate.radar_velocity import radar_velocity
 from surefoot.scenarios.estimate.run import Learnt, run_all, run_filter
 
-COURSE = """
-name = "radar_test"
-robot = "spot_class"
-segment = [{ duration = 3.0, forward = 0.6 }, { duration = 3.0, forward = 0.4, turn = 0.5 }]
-[ground]
-mu = 0.8
-"""
-
 
 @pytest.fixture(scope="module")
 def course(tmp_path_factory):
-    path = tmp_path_factory.mktemp("course") / "radar_test.toml"
-    path.write_text(COURSE)
-    return path
+    folder = tmp_path_factory.mktemp("course")
+    return course_file(folder, 6.0, "turn = 0.2\n[ground]\nmu = 0.8\n", "radar_test")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import csv
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from io import StringIO
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused
+from web_page import Page
 
 from surefoot.scenarios.reporting.html import (
     Picture,
@@ -35,22 +35,6 @@ TABLE = [
     {"filter": "Leg | IEKF", "APE [m]": 1.23456, "ok": True},
     {"filter": "<b>", "APE [m]": float("nan"), "ok": None},
 ]
-
-
-class Page(HTMLParser):
-    """Text, tags and addresses of a page."""
-
-    def __init__(self, page: str):
-        super().__init__()
-        self.text, self.tags, self.addresses = "", [], []
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.addresses += [v for k, v in attrs if k in ("src", "href")]
-
-    def handle_data(self, data):
-        self.text += data
 
 
 def test_a_report_needs_no_network_and_no_other_file(tmp_path):

@@ -45,13 +45,15 @@ def slipped():
     return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [lost], declared=False)
 
 
-def friction(log):
-    return forces.estimate_friction([log_under_model(log, ROBOT)], np.random.default_rng(0))
+def friction(log) -> forces.FootFriction:
+    cases = [log_under_model(log, ROBOT)]
+    found = forces.estimate_friction(cases, np.random.default_rng(0))
+    assert found is not None
+    return found
 
 
 def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     found = friction(slipped)
-    assert found is not None
     assert found.limit == pytest.approx(0.12, rel=0.1)
     assert found.everywhere
     (one,) = forces.slip_effect(found)
@@ -61,7 +63,6 @@ def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
 
 def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(zigzag):
     found = friction(zigzag)
-    assert found is not None
     assert (found.limit, forces.slip_effect(found)) == (None, ())
     assert 0.05 < found.held < 0.8
     (note,) = forces.slip_notes(found, True)
@@ -78,7 +79,6 @@ def test_slides_in_one_place_are_no_loss_all_over():
 def test_slides_on_two_patches_are_in_places():
     """Nine slides at one coefficient, spread over the walk; elsewhere feet hold with more."""
     found = friction(walk(Scenario.load(scenario_file("demo/walk")), ROBOT, 3))
-    assert found is not None
     assert found.limit is not None
     assert found.limit == pytest.approx(0.1, rel=0.1)
     assert found.slides >= forces.FEWEST_SLIDES
@@ -134,7 +134,6 @@ def test_friction_is_that_with_the_effects_found_compensated():
     fast = effect("clock_scale", "joints", 0.002)
     log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [fast], declared=False)
     seeming, found = friction(log), diagnose([log], ROBOT)
-    assert seeming is not None
     assert found.friction is not None
     assert seeming.slides >= forces.FEWEST_SLIDES
     assert [(e.name, e.target) for e in found.effects] == [("clock_scale", "joints")]
@@ -142,7 +141,8 @@ def test_friction_is_that_with_the_effects_found_compensated():
 
 
 def test_without_torques_friction_is_not_identifiable(zigzag):
-    assert friction(without(zigzag, "tau_")) is None
+    cases = [log_under_model(without(zigzag, "tau_"), ROBOT)]
+    assert forces.estimate_friction(cases, np.random.default_rng(0)) is None
     assert "without torques" in forces.slip_notes(None, True)[0]
 
 

@@ -7,9 +7,8 @@ import pytest
 from estimates import metrics_of
 from refusals import refused
 
-from surefoot import Learnt, Log, Robot, Scenario, walk
+from surefoot import Learnt, Log, Robot
 from surefoot.estimator.metrics import Metrics
-from surefoot.extend import Ground, Segment
 from surefoot.scenarios import tune
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.run import ESTIMATORS, estimator_named
@@ -57,10 +56,9 @@ def test_a_price_is_that_of_the_error_and_of_not_knowing_it():
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    course = Scenario("short", (Segment(4.0, 0.6), Segment(4.0, 0.4, turn=0.4)), Ground(0.8))
+def log(log, tmp_path_factory):
     path = tmp_path_factory.mktemp("tune") / "walk.parquet"
-    walk(course, Robot.load("spot_class"), 5).write(path)
+    log.rows(slice(0, 4000)).write(path)
     return path
 
 
