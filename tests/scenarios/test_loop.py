@@ -14,17 +14,30 @@ from surefoot.extend import Ground, Segment, declared_model, effect, prediction_
 from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace import realism, training_walks
+from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
 from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
 from surefoot.scenarios.trace.realism import choose_gait
+from surefoot.scenarios.trace.training_walks import (
+    NEAREST,
+    TrainingPlan,
+    TrainingWalks,
+    WalkedStyle,
+    beyond_simulated,
+    drawn_sizes,
+    rates_as_of,
+    simulate_training,
+    simulated_robot,
+    style_that_walks,
+    with_style_share,
+)
 from surefoot.sim.common.files import bundled
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.walk import Fallen, walk
 from surefoot.sim.walking.imitation import walking_style
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-SHORT = training_walks.TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
+SHORT = TrainingPlan(walks=1, seconds=4.0, calibration=4.0)
 
 
 @pytest.fixture(scope="module")
@@ -35,33 +48,27 @@ def log(robot):
 
 def test_the_simulated_robot_has_the_files_feet_and_the_declared_mounting(robot):
     declared = replace(robot, foot_radius=np.zeros(4), p_BI=np.array([0.1, 0.0, 0.02]))
-    simulated = training_walks.simulated_robot(declared)
+    simulated = simulated_robot(declared)
     np.testing.assert_array_equal(simulated.foot_radius, robot.foot_radius)
     np.testing.assert_array_equal(simulated.p_BI, declared.p_BI)
     # Point feet of which 30 mm were found lacking roll at 30 mm, whatever the file's radius is.
-    (added,) = training_walks.beyond_simulated(
-        [effect("foot_rolling", "all", 0.03)], declared, simulated
-    )
+    (added,) = beyond_simulated([effect("foot_rolling", "all", 0.03)], declared, simulated)
     assert added.value == pytest.approx(0.03 - robot.foot_radius.mean())
     same = [effect("link_length", "FL_calf", 0.01)]
-    assert training_walks.beyond_simulated(same, declared, simulated) == tuple(same)
+    assert beyond_simulated(same, declared, simulated) == tuple(same)
 
 
 def test_training_walks_have_the_effects_and_are_seen_by_a_model_that_knows_them(robot, log):
     shown = walking_style(log, robot)
-    plain = training_walks.simulate_training(training_walks.TrainingWalks(shown, robot), 0, SHORT)
+    plain = simulate_training(TrainingWalks(shown, robot), 0, SHORT)
     offset = effect("encoder_offset", "FR_thigh", 0.05)
-    with_offset = training_walks.simulate_training(
-        training_walks.TrainingWalks(shown, robot, [offset]), 0, SHORT
-    )
+    with_offset = simulate_training(TrainingWalks(shown, robot, [offset]), 0, SHORT)
     assert [len(with_offset[0]), len(plain[0])] == [1, 1]
     # An encoder's offset changes readings alone; undone, the walk is the one without it but for the
     # encoder's step.
     np.testing.assert_allclose(with_offset[1].q, plain[1].q, atol=5e-4)
-    stretched = training_walks.TrainingWalks(
-        shown, robot, [effect("link_length", "FR_thigh", 0.03)]
-    )
-    longer = training_walks.simulate_training(stretched, 0, SHORT)
+    stretched = TrainingWalks(shown, robot, [effect("link_length", "FR_thigh", 0.03)])
+    longer = simulate_training(stretched, 0, SHORT)
     assert np.abs(longer[1].q - plain[1].q).max() > 0.01
 
 
@@ -75,9 +82,7 @@ def test_after_a_fall_another_walk_is_drawn_before_a_slower_one(robot, log, monk
         return walk(scenario, robot, seed, *others)
 
     monkeypatch.setattr(kept_walks, "walk", falls_at_first)
-    training_walks.simulate_training(
-        training_walks.TrainingWalks(walking_style(log, robot), robot), 0, replace(SHORT, walks=0)
-    )
+    simulate_training(TrainingWalks(walking_style(log, robot), robot), 0, replace(SHORT, walks=0))
     speeds, seeds = np.array(tried).T
     assert list(seeds) == [0, 1, 2, 0, 1]
     np.testing.assert_allclose(speeds[3:], 0.8 * speeds[:2])
@@ -90,22 +95,20 @@ SPREAD_HIPS = np.tile([0.4, 0.0, 0.0], 4)
 
 def test_a_robot_that_falls_with_the_logs_style_walks_with_the_nearest(robot, log):
     shown = walking_style(log, robot)
-    upright = {"before": training_walks.TrainingWalks(shown, robot)}
-    assert training_walks.style_that_walks(upright, 0, SHORT) == training_walks.WalkedStyle()
+    upright = {"before": TrainingWalks(shown, robot)}
+    assert style_that_walks(upright, 0, SHORT) == WalkedStyle()
     style = replace(shown, q_stance=shown.q_stance + SPREAD_HIPS)
-    found = training_walks.style_that_walks(
-        {"before": training_walks.TrainingWalks(style, robot)}, 0, SHORT
-    )
+    found = style_that_walks({"before": TrainingWalks(style, robot)}, 0, SHORT)
     assert 0.0 < found.share < 1.0
-    walks = training_walks.TrainingWalks(style, robot)
-    for share, falls in ((found.share, False), (found.share + training_walks.NEAREST, True)):
-        nearer = training_walks.with_style_share(walks, share)
+    walks = TrainingWalks(style, robot)
+    for share, falls in ((found.share, False), (found.share + NEAREST, True)):
+        nearer = with_style_share(walks, share)
         expected = robot.q_home + share * (style.q_stance - robot.q_home)
         np.testing.assert_allclose(nearer.style.q_stance, expected)
         if falls:
-            refused("falls", training_walks.simulate_training, nearer, 0, SHORT)
+            refused("falls", simulate_training, nearer, 0, SHORT)
         else:
-            training_walks.simulate_training(nearer, 0, SHORT)
+            simulate_training(nearer, 0, SHORT)
 
 
 def test_a_world_in_which_it_falls_with_any_style_has_no_observers(robot, log, monkeypatch):
@@ -116,13 +119,10 @@ def test_a_world_in_which_it_falls_with_any_style_has_no_observers(robot, log, m
 
     monkeypatch.setattr(kept_walks, "walk", falls_if_heavy)
     shown, heavy = walking_style(log, robot), [effect("payload", "all", 1.0)]
-    walks = {
-        "before": training_walks.TrainingWalks(shown, robot),
-        "after": training_walks.TrainingWalks(shown, robot, heavy),
-    }
-    found = training_walks.style_that_walks(walks, 0, replace(SHORT, walks=0))
-    assert found == training_walks.WalkedStyle(1.0, ("after",))
-    assert training_walks.style_that_walks({"after": walks["after"]}, 0, SHORT).fallen == ("after",)
+    walks = {"before": TrainingWalks(shown, robot), "after": TrainingWalks(shown, robot, heavy)}
+    found = style_that_walks(walks, 0, replace(SHORT, walks=0))
+    assert found == WalkedStyle(1.0, ("after",))
+    assert style_that_walks({"after": walks["after"]}, 0, SHORT).fallen == ("after",)
 
 
 def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
@@ -131,12 +131,8 @@ def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
     spread = {("encoder_offset", "FR_thigh"): deviation}
     shown = walking_style(log, robot)
     plan = replace(SHORT, walks=3)
-    as_found = training_walks.simulate_training(
-        training_walks.TrainingWalks(shown, robot, [found]), 0, plan
-    )
-    drawn = training_walks.simulate_training(
-        training_walks.TrainingWalks(shown, robot, [found], spread=spread), 0, plan
-    )
+    as_found = simulate_training(TrainingWalks(shown, robot, [found]), 0, plan)
+    drawn = simulate_training(TrainingWalks(shown, robot, [found], spread=spread), 0, plan)
     off = []
     for one, other in zip([*as_found[0], as_found[1]], [*drawn[0], drawn[1]], strict=True):
         difference = other.q - one.q
@@ -146,25 +142,27 @@ def test_sizes_are_drawn_for_each_walk_and_compensated_as_found(robot, log):
         assert np.abs(np.delete(difference, joint, axis=1)).max() == 0.0
     assert len(np.unique(off)) == 4
     assert 0.0 < np.abs(off).max() < 4 * deviation
+    known = effect("link_length", "FR_thigh", 0.01)
+    assert drawn_sizes([found, known], spread, np.random.default_rng(0))[1] == known
 
 
 def test_training_walks_say_how_the_imu_is_mounted_that_their_observer_learns_with(robot, log):
     declared = replace(robot, p_BI=np.array([0.1, 0.0, 0.02]))
     turned = effect("mounting_rotation", "x", 0.05)
-    walks = training_walks.TrainingWalks(walking_style(log, robot), declared, [turned])
-    _, calibration = training_walks.simulate_training(walks, 0, SHORT)
+    walks = TrainingWalks(walking_style(log, robot), declared, [turned])
+    _, calibration = simulate_training(walks, 0, SHORT)
     known = Robot.for_log(calibration)
     np.testing.assert_allclose(known.p_BI, declared.p_BI)
     np.testing.assert_allclose(known.R_BI, turned.compensate(log, declared)[1].R_BI, atol=1e-12)
 
 
 def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
-    assert training_walks.rates_as_of(log, log) is log
+    assert rates_as_of(log, log) is log
     bare = without(log, "dq_")
-    derived = training_walks.rates_as_of(log, bare)
+    derived = rates_as_of(log, bare)
     assert not np.array_equal(derived.dq, log.dq)
     # Of the past alone: what comes later changes nothing.
-    early = training_walks.rates_as_of(log.rows(slice(0, 1000)), bare)
+    early = rates_as_of(log.rows(slice(0, 1000)), bare)
     np.testing.assert_array_equal(early.dq, derived.dq[:1000])
 
 
@@ -248,8 +246,8 @@ def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
         world_name: np.linalg.norm(world["observer_errors"]["measured"]["all"])
         for world_name, world in worlds.items()
     }
-    walks = training_walks.TrainingWalks(walking_style(measured, robot), robot, [hidden])
-    training, _ = training_walks.simulate_training(walks, 0)
+    walks = TrainingWalks(walking_style(measured, robot), robot, [hidden])
+    training, _ = simulate_training(walks, 0)
     declared = replace(measured, meta=replace(measured.meta, effects=(hidden.as_dict(),)))
     trained = train(training, settings=TrainSettings(inputs=inputs_of(measured)))
     errors = prediction_errors(trained, *declared_model(declared, robot))[1]
