@@ -60,6 +60,7 @@ OPTIONS = [
     ("an unknown command", "obliterate walk.parquet", "obliterate"),
     ("an option of control characters", "estimate walk.parquet --\x1b]0;t\x07", "control characters"),
     ("an option misspelt", "estimate walk.parquet --filtr leg", "did you mean '--filter'?"),
+    ("a command misspelt", "simulat scenario.toml -o new", "did you mean 'simulate'?"),
     ("a suite misspelt", "suite spott -o new", "did you mean 'spot'?"),
     ("an unknown option", "estimate walk.parquet --filter imu --fast", "--fast"),
     ("logs of no number", "compare -o new", "log"),

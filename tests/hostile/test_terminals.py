@@ -1,14 +1,18 @@
 """Commands whose streams are closed, whose terminal has no width, or whose disk is too small."""
 
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from io import StringIO
+from types import SimpleNamespace
 
 import pytest
 from forked import copied, run_forked
+from refusals import refused
 
+from surefoot.scenarios.demo import demo
 from surefoot.sim.common.progress import bar
 from surefoot.sim.common.terminal import printable, printing_plainly
 from surefoot.sim.log import Log
@@ -95,3 +99,9 @@ def test_no_name_of_a_log_controls_a_terminal(command, good, tmp_path):
     shown = found.out + found.err
     assert r"\x1b[31mred" in shown
     assert all(c.isprintable() or c in "\n\t" for c in shown), ascii(shown)
+
+
+def test_a_demo_that_does_not_fit_on_the_disk_does_not_begin(tmp_path, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=5e7))
+    refused("needs about 100 MB, its disk has 50 MB", demo, tmp_path / "out")
+    assert not list(tmp_path.iterdir())

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from processes import ended, printed, python
 from refusals import refused
+from synthetic import resting
 
 import surefoot
 from surefoot.scenarios.cli.main import COMMANDS, main
@@ -135,12 +136,22 @@ def test_numbers_in_the_environment_are_what_libraries_accept(name, value, accep
         refused(f"{name} .*'{value}'", _check_environment)
 
 
-def test_results_are_json_where_that_is_asked_for(capsys):
+def test_results_are_json_where_that_is_asked_for(tmp_path, capsys):
     main(["robots", "spot_class", "--json"])
     card = json.loads(capsys.readouterr().out)
     assert (card["mass"], len(card["joints"]), card["walks"]) == (32.7, 12, True)
     main(["robots", "--json"])
     assert json.loads(capsys.readouterr().out)["spot_class"] == "bundled"
+    resting(30.0, 100.0).write(tmp_path / "rest.parquet")
+    main(["noise", f"{tmp_path}/rest.parquet", "--json"])
+    white = json.loads(capsys.readouterr().out)["gyro"][0]["white"]
+    assert white["low"] < 1e-4 < white["high"]  # 1e-3 rad/s at 100 Hz
+
+
+def test_the_list_of_robots_loads_none(capsys, monkeypatch):
+    monkeypatch.setattr("surefoot.sim.robot.Robot.load", lambda *_: pytest.fail("loaded"))
+    main(["robots"])
+    assert "spot_class" in capsys.readouterr().out
 
 
 def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):

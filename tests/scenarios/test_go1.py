@@ -4,8 +4,10 @@ import pytest
 from estimates import metrics_of
 
 from studies.measured import measured_folder
+from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.importing.recording import import_log
+from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import known_robots
 
@@ -44,9 +46,11 @@ def test_what_the_legs_of_the_walk_have_is_named_and_mends_the_leg_filter(found)
     assert leg["after"]["rpe_trans"] < 0.4 * leg["before"]["rpe_trans"]
 
 
-def test_the_leg_filter_follows_a_square_of_twelve_metres():
+def test_the_leg_filter_follows_a_square_of_twelve_metres(tmp_path, capsys):
     """Several times better than nothing but the IMU."""
-    log = import_log(RECORDING, "go1_square")
+    main(f"import csv {RECORDING} --map go1_square -o {tmp_path}/go1.parquet".split())
+    assert "reference" in capsys.readouterr().out
+    log = Log.read(tmp_path / "go1.parquet")
     leg, imu = (metrics_of(name, log, Robot.load("go1")) for name in ("leg", "imu"))
     assert 0.05 < leg.ape_trans < 0.6
     assert 0.02 < leg.rpe_trans < 0.25

@@ -61,3 +61,8 @@ def test_a_log_without_a_world_is_left_out_with_the_reason(log, robot):
 def test_a_log_whose_reference_is_valid_nowhere_is_left_out_with_the_reason(known, log, robot):
     unseen = replace(log, frame=log.frame.assign(ref_ok=0.0))
     refused(r"radar_leg: .*ref_ok is 0", run_filter, "radar_leg", unseen, robot)
+
+
+def test_bundled_courses_are_known_by_name():
+    module._scenarios.cache_clear()
+    assert {"Atrium", "RoomScan", "demo_walk"} <= set(module._scenarios())

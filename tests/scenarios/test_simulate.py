@@ -16,7 +16,7 @@ from courses import course_file
 from dataset_index import digests, read_index
 from refusals import refusal, refused
 
-from surefoot import Log, SimulateSettings, simulate
+from surefoot import Log, Robot, SimulateSettings, simulate
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
 from surefoot.sim.common.files import MANIFEST, command_run
@@ -94,6 +94,14 @@ def test_another_robot_has_logs_of_its_own(folder, capsys):
     for robot in (None, "v60_class"):
         short(robot=robot)
     assert set(read_index(Path("walks")).file) == {"short_0.parquet", "short_v60_class_0.parquet"}
+
+
+def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
+    text = Robot.load("spot_class").file.read_text()
+    bare = re.sub(r'<site name="imu"[^>]*/>|<sensor>.*</sensor>', "", text, flags=re.DOTALL)
+    (folder / "blind.xml").write_text(bare)
+    short(robot="blind.xml")
+    assert "note: blind.xml: its model has no IMU" in capsys.readouterr().out
 
 
 def test_a_changed_scenario_is_not_mixed_with_its_past(folder):

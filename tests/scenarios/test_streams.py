@@ -159,6 +159,12 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
         assert getattr(pieces, name) == pytest.approx(getattr(whole, name), rel=0.1)
 
 
+def test_a_sample_without_what_legs_need_is_one_line(log, robot):
+    stream = begun("leg", log, robot, Learnt())
+    sample = next(samples(log))._replace(contact=None)
+    refused(r"^the sample at \S+ s lacks contact$", stream.step, sample)
+
+
 @pytest.mark.parametrize("name", [n for n in ESTIMATORS if n != "radar_leg"])
 def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, learnt, robot):
     """It finds its rate and its start in its first samples, as `run_filter` does in a log's."""

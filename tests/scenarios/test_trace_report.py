@@ -144,7 +144,9 @@ def test_notes_on_faults_come_first_and_the_others_are_folded():
 
 def test_causes_of_the_drift_are_in_units_of_each():
     causes = DriftCauses(np.full(4, 0.02), ((LONG, np.full(4, 0.015)),), np.full(4, 0.005))
-    rows = table_of(result("attributed", causes=causes), "Causes of the drift")
+    found = result("attributed", causes=causes)
+    assert "most drift of the leg filter is by link_length FR_calf: " in summary(found)
+    rows = table_of(found, "Causes of the drift")
     assert list(rows["height [mm/m]"].astype(float)) == [20.0, 15.0, 5.0]
     assert list(rows["yaw [deg/m]"].astype(float)) == pytest.approx([1.15, 0.86, 0.29])
     assert list(rows["distance [%]"].astype(float)) == [2.0, 1.5, 0.5]

@@ -148,8 +148,10 @@ def test_the_command_takes_declared_effects_and_held_out_logs(tmp_path, capsys):
     said = json.loads((tmp_path / "out" / "trace.json").read_text())
     assert said["holdout"]["channels"]["joint_torque"]["noise_floor"] > 0
     assert "held-out logs" in (tmp_path / "out" / "report.html").read_text()
-    with pytest.raises(SystemExit, match="is also a log to fit on"):
-        main([*common, str(tmp_path / "same"), "--holdout", first])
+    replace(run(1), meta=replace(run(1).meta, robot="spot_class")).write(tmp_path / "other.parquet")
+    for name, said in (("1", "is also a log to fit on"), ("other", "trace one robot at a time")):
+        line = [*common, f"{tmp_path}/same", "--holdout", f"{tmp_path}/{name}.parquet"]
+        refused(said, main, line, error=SystemExit)
 
 
 def test_runs_without_torques_are_traced():
