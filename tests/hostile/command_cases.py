@@ -74,6 +74,7 @@ OPTIONS = [
     ("a recording that is a log", "view fake.rrd", "fake.rrd"),
     ("a recording that is a folder", "view sub", "is a folder"),
     ("nothing to view", "view nowhere", "view opens"),
+    ("a search for no filter", "tune walk.parquet --filters legs -o new", "unknown filter 'legs'"),
     ("a search without a run", "tune walk.parquet -o new --budget 0", "budget 0: at least 1"),
     ("a search of a trillion runs", "tune walk.parquet -o new --budget 1000000000000", "--budget"),
     ("a search over no time", "tune walk.parquet -o new --longest nan", "longest"),

@@ -236,6 +236,7 @@ BAD_SAMPLES = {
     "a stamp of another clock": changed(t=1.7e9),
     "a stamp of digits": changed(t="0.5"),
     "a complex stamp": changed(t=1j),
+    "NaN": changed(gyro=np.full(3, np.nan)),
     "nothing": changed(accel=None),
     "another shape": changed(gyro=np.zeros((3, 1))),
     "digits": changed(accel=["0", "0", "9.8"]),

@@ -100,6 +100,7 @@ def test_a_robot_that_falls_with_the_logs_style_walks_with_the_nearest(robot, lo
     style = replace(shown, q_stance=shown.q_stance + SPREAD_HIPS)
     found = style_that_walks({"before": TrainingWalks(style, robot)}, 0, SHORT)
     assert 0.0 < found.share < 1.0
+    assert f"{100 * found.share:.0f} % of the log's" in found.words
     walks = TrainingWalks(style, robot)
     for share, falls in ((found.share, False), (found.share + NEAREST, True)):
         nearer = with_style_share(walks, share)

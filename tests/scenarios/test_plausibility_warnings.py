@@ -33,7 +33,7 @@ def test_import_warns_and_the_log_keeps_it(in_g, capsys):
 
 def test_strict_refuses_with_a_line_each_and_writes_nothing(in_g, capsys):
     line = f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet --strict"
-    assert ended(line) == "surefoot: strict: 1 implausible finding in run"
+    assert "strict: 1 implausible finding in run" in str(ended(line))
     said = capsys.readouterr()
     assert f"error: run: {WORDS}" in said.err
     assert '[columns]\naccel_x = { column = "accel_x", unit = "g" }\n' in said.out

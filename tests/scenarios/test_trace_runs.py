@@ -229,7 +229,8 @@ def test_another_traces_runs_say_nothing_and_damaged_ones_are_one_line(tmp_path)
     assert known is not None
     assert known.keys == (("armature", "shoulder"),)
     assert unchanged_beside(tmp_path / "effects.toml", []) is None
-    for damaged in (error | {"covariance": [[-1e-4]]}, error | {"terms": []}, 3):
+    silent = [{"channel": "joint_torque", "kind": "shoulder", "level": 0}]
+    for damaged in (error | {"covariance": [[-1e-4]]}, error | {"noise": silent}, 3):
         file.write_text(json.dumps(said | {"unchanged": damaged}))
         refused("'unchanged' is damaged", unchanged_beside, tmp_path / "effects.toml", [ROTOR])
 
