@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from courses import course_file
 
 from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import COMMANDS, main
@@ -22,46 +21,65 @@ ROBOTS = {
 OF_NO_ROBOT = {"suite", "demo", "new"}
 TOO_LONG = {"loop", "tune", "realism"}
 """Made of those that run here, and minutes each."""
-MORE = """turn = 0.3
+COURSE = """
+name = "yard"
+laps = 3
+robot = "spot_class"
+
 [ground]
 mu = 0.8
-patch = [{ center = [1.5, 1.5], size = [1.0, 2.0], mu = 0.3 }]
+
+[[ground.patch]]
+center = [3.0, 0.0]
+size = [1.0, 2.0]
+mu = 0.3
+
 [ranges]
 speed = [0.8, 1.2]
+
+[[segment]]
+duration = 7.0
+forward = 0.5
+
+[[segment]]
+duration = 6.0
+forward = 0.4
+turn = 0.5
 """
 GRID = """
-scenarios = ["short.toml"]
+title = "A robot that others drew"
+scenarios = ["yard.toml"]
 robots = ["{robot}"]
 seeds = [7]
 filters = ["leg", "imu"]
-roles = {{ short = "test" }}
+roles = {{ yard = "test" }}
 """
 LEARNT = "--observer mse.safetensors --bounds mse.json --observer gml.safetensors --bounds gml.json"
 LINES = f"""
 robots {{robot}} -o card.png
-view short.toml --robot {{robot}} -o course.rrd
-simulate short.toml --robot {{robot}} --seeds 0:3 -o walks
-info walks/short_{{name}}_2.parquet
-train walks/short_{{name}}_0.parquet --model mlp --steps 20 -o mse.safetensors
-train walks/short_{{name}}_0.parquet --model mlp --steps 60 --loss gml -o gml.safetensors
-calibrate mse.safetensors walks/short_{{name}}_1.parquet -o mse.json --report judged
-calibrate gml.safetensors walks/short_{{name}}_1.parquet -o gml.json
-compare walks/short_{{name}}_2.parquet {LEARNT} -o compared
-estimate walks/short_{{name}}_2.parquet --filter leg -o leg.parquet
-noise walks/short_{{name}}_2.parquet -o noise.toml
-export walks/short_{{name}}_2.parquet -o walk.mcap
+view yard.toml --robot {{robot}} -o course.rrd
+simulate yard.toml --robot {{robot}} --seeds 0:3 -o walks
+info walks/yard_{{name}}_2.parquet
+train walks/yard_{{name}}_0.parquet --model mlp --steps 20 -o mse.safetensors
+train walks/yard_{{name}}_0.parquet --model mlp --steps 60 --loss gml -o gml.safetensors
+calibrate mse.safetensors walks/yard_{{name}}_1.parquet -o mse.json --report judged
+calibrate gml.safetensors walks/yard_{{name}}_1.parquet -o gml.json
+compare walks/yard_{{name}}_2.parquet {LEARNT} -o compared
+estimate walks/yard_{{name}}_2.parquet --filter leg -o leg.parquet
+noise walks/yard_{{name}}_2.parquet -o noise.toml
+export walks/yard_{{name}}_2.parquet -o walk.mcap
 export leg.parquet -o leg.csv
 import --guess walk.mcap --robot {{robot}} -o map.toml
 import walk.mcap --map map.toml -o back.parquet
-align walks/short_{{name}}_2.parquet -o aligned
-view walks/short_{{name}}_2.parquet -o walk.rrd
+align walks/yard_{{name}}_2.parquet -o aligned
+view walks/yard_{{name}}_2.parquet -o walk.rrd
 plan --robot {{robot}} payload
-trace walks/short_{{name}}_2.parquet -o traced
+trace walks/yard_{{name}}_2.parquet -o traced
 experiment grid.toml -o grid --no-recordings
 """
 LEFT = (
     "card.png course.rrd judged/report.html mse.json compared/report.html compared/table.md"
-    " compared/short_{name}_2.rrd leg.tum noise.toml walk.mcap leg.csv back.parquet walk.rrd"
+    " compared/yard_{name}_2.rrd leg.tum noise.toml walk.mcap leg.csv back.parquet walk.rrd"
     " aligned/alignment.png traced/report.html traced/trace.rrd grid/report.html"
 )
 
@@ -78,7 +96,7 @@ def test_a_robot_of_the_menagerie_goes_through_the_readmes_commands(name, tmp_pa
         pytest.skip(f"no models in {MODELS}")
     monkeypatch.chdir(tmp_path)
     robot = MODELS / ROBOTS[name]
-    course_file(tmp_path, 39.0, MORE)
+    Path("yard.toml").write_text(COURSE)
     Path("grid.toml").write_text(GRID.format(robot=robot))
     for line in LINES.format(robot=robot, name=name).split("\n"):
         main(line.split()) if line else None
