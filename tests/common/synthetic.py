@@ -85,6 +85,15 @@ def synthetic_walk(
     return Log(pd.DataFrame(columns), Meta(rate=rate, robot=robot), name)
 
 
+def resting(seconds: float, rate: float = 500.0, gravity: float = 9.81) -> Log:
+    """An IMU that lies still, with white noise of 1e-3 rad/s and 1e-2 m/s^2."""
+    rng = np.random.default_rng(0)
+    t = np.arange(round(seconds * rate)) / rate
+    columns = {"t": t} | _named("gyro", 1e-3 * rng.standard_normal((len(t), 3)))
+    columns |= _named("accel", 1e-2 * rng.standard_normal((len(t), 3)) + [0.0, 0.0, gravity])
+    return Log(pd.DataFrame(columns), Meta(rate=rate), "rest")
+
+
 def without(log: Log, *starts: str) -> Log:
     """The log less the columns that start so."""
     kept = [name for name in log.frame if not str(name).startswith(starts)]

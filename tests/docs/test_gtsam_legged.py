@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from given_feet import with_feet_for_joints
 from processes import printed
+from refusals import refused
 
 import surefoot
-from surefoot.estimator.core.state import NavState
+from surefoot import Learnt, Scenario
+from surefoot.extend import Beginning, Ground, NavState, Segment, samples
 from surefoot.scenarios.estimate.bundled import Leg
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, samples
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.scenario import Scenario, Segment
 
 pytest.importorskip("gtsam", reason="gtsam is not installed: the extra surefoot[gtsam]")
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -74,25 +73,19 @@ def test_contacts_solved_together_are_a_little_elsewhere(log):
 
 
 def test_foot_positions_of_a_log_do_without_a_robot(log):
-    names = log.legs
-    feet = dict(zip(names, ROBOT.feet_I(log.q).transpose(1, 0, 2), strict=True))
-    columns = {
-        f"foot_{leg}_{axis}": feet[leg][:, k] for leg in names for k, axis in enumerate("xyz")
-    }
-    given = replace(log, frame=log.frame.assign(**columns))
+    given = with_feet_for_joints(log, ROBOT)
     stream = example.GtsamLeg().start(
         None,
         Learnt(),
         {one.name: one.default for one in example.GtsamLeg.parameters},
-        Beginning(NavState(), KNOWN_BIASES, log.rate, feet=tuple(names)),
+        Beginning(NavState(), KNOWN_BIASES, log.rate, feet=log.legs),
     )
     walked = list(samples(given))[:21]
     for sample in walked[:-1]:
         stream.step(sample)
     assert np.isfinite(stream.state.p_GI).all()
     lacking = walked[-1]._replace(foot_I=None)
-    with pytest.raises(SurefootError, match="lacks foot_I"):
-        stream.step(lacking)
+    refused("lacks foot_I", stream.step, lacking)
 
 
 def test_the_package_and_the_file_offer_the_same():
@@ -118,9 +111,3 @@ def test_they_stand_in_the_table_beside_ours(log, tmp_path, monkeypatch):
     assert errors["leg"] < errors["gtsam_leg"] < errors["imu"]  # feet that roll, and no biases
     report = Path("compared/report.html").read_text()
     assert "LeggedInvariantEKF: a foothold a leg as states" in report
-
-
-def test_the_file_alone_is_a_plugin():
-    file = EXAMPLE / "gtsam_legged.py"
-    said = printed("-m", "surefoot", "estimate", "--help", "--plugin", file)
-    assert "gtsam_leg_iterated" in said

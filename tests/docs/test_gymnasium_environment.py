@@ -28,7 +28,7 @@ def test_a_batch_is_each_by_itself_and_leaves_logs():
     actions = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 2, 12)).astype(np.float32)
     for both in actions:
         seen, reward, *_ = batch.step(both)
-        own, own_reward, *_ = alone.step(both[1])
-        np.testing.assert_array_equal(own, seen[1])
-        assert own_reward == reward[1]
+        single, single_reward, *_ = alone.step(both[1])
+        np.testing.assert_array_equal(single, seen[1])
+        assert single_reward == reward[1]
     assert len(alone.walking.log().t) == 2 * len(actions)

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from bags import EPOCH, IMU, Maker, write_bag
 from numpy.testing import assert_allclose
+from refusals import refused
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from synthetic import without
 
 import surefoot
@@ -19,12 +19,7 @@ sys.path.insert(0, str(EXAMPLES))
 
 import ros2_node  # noqa: E402
 
-EPOCH = 1_700_000_000_000_000_000  # ns
-TYPES = {
-    "/joint_states": "sensor_msgs/msg/JointState",
-    "/contacts": "std_msgs/msg/UInt8MultiArray",
-    "/imu": "sensor_msgs/msg/Imu",
-}
+JOINTS, ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/UInt8MultiArray"
 ROBOT = surefoot.Robot.load("spot_class")
 
 
@@ -36,33 +31,20 @@ def log(log):
 @pytest.fixture(scope="module")
 def bag(log, tmp_path_factory) -> Path:
     """The log as a robot records it, joints in an order of their own."""
-    path, types = tmp_path_factory.mktemp("ros") / "walk", get_typestore(Stores.ROS2_HUMBLE)
-    T, order = types.types, np.random.default_rng(0).permutation(12)
-    quaternion = T["geometry_msgs/msg/Quaternion"](w=1.0, x=0.0, y=0.0, z=0.0)
-    layout = T["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    order = np.random.default_rng(0).permutation(12)
     names = [ROBOT.joint_names[j] for j in order]
 
-    def vector(x):
-        return T["geometry_msgs/msg/Vector3"](x=x[0], y=x[1], z=x[2])
-
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topics = {one: writer.add_connection(one, t, typestore=types) for one, t in TYPES.items()}
+    def messages(make: Maker):
+        layout = make.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
         for k, t in enumerate(log.t):
             ns = EPOCH + round(1e9 * t)
-            stamp = T["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-            header = T["std_msgs/msg/Header"](stamp=stamp, frame_id="imu")
-            readings = {
-                "/joint_states": (header, names, *(x[k][order] for x in (log.q, log.dq, log.tau))),
-                "/contacts": (layout, log.contact[k].astype(np.uint8)),
-                "/imu": (
-                    header, quaternion, np.zeros(9), vector(log.gyro[k]), np.zeros(9),
-                    vector(log.accel[k]), np.zeros(9),
-                ),
-            }  # fmt: skip
-            for topic, fields in readings.items():
-                message = T[TYPES[topic]](*fields)
-                writer.write(topics[topic], ns, types.serialize_cdr(message, TYPES[topic]))
-    return path
+            joints = (x[k][order] for x in (log.q, log.dq, log.tau))
+            joints = make.types[JOINTS](make.header(ns), names, *joints)
+            yield "/joint_states", JOINTS, ns, joints
+            yield "/contacts", ARRAY, ns, make.types[ARRAY](layout, log.contact[k].astype(np.uint8))
+            yield "/imu", IMU, ns, make.imu(ns, log.gyro[k], log.accel[k])
+
+    return write_bag(tmp_path_factory.mktemp("ros") / "walk", "mcap", messages)
 
 
 def played(bag: Path, node: ros2_node.Estimation):
@@ -108,5 +90,5 @@ def test_the_odometry_is_pose_in_the_world_and_velocity_in_the_imu(log, bag):
 
 def test_a_joint_that_is_not_published_is_named():
     node = ros2_node.Estimation(surefoot.StreamingEstimator("leg", ROBOT), ROBOT)
-    with pytest.raises(ValueError, match="joint_states lacks"):
-        node.on_joints(SimpleNamespace(name=["a"], position=[0.0], velocity=[], effort=[]))
+    message = SimpleNamespace(name=["a"], position=[0.0], velocity=[], effort=[])
+    refused("joint_states lacks", node.on_joints, message, error=ValueError)

@@ -5,12 +5,12 @@ import re
 import shutil
 import subprocess
 from html import escape
-from html.parser import HTMLParser
 from io import StringIO
 from pathlib import Path
 
 import pytest
 from forked import copied
+from web_page import Page
 
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.reporting.html import Section, html_report, markdown_report
@@ -35,19 +35,6 @@ ATTACKS = (
 )
 BROWSERS = ("chromium-headless-shell", "chromium", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
-
-
-class Seen(HTMLParser):
-    """The elements and attributes that a browser would see."""
-
-    def __init__(self):
-        super().__init__()
-        self.tags: set[str] = set()
-        self.attributes: set[str] = set()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        self.attributes |= {name for name, _ in attrs}
 
 
 MARKUP = (
@@ -76,16 +63,7 @@ def test_what_is_no_markup_stays_as_it_is():
     assert prose == "# a&lt;b>\n\n## [h]\\(x)\n\nsee `pi<gamma`\n\n&lt;img src=x>\n"
 
 
-FORMULAS = (
-    "=1+1",
-    "+1+1",
-    "-1+1",
-    "@SUM(1)",
-    "=HYPERLINK(1)",
-    "\t=1",
-    "\r=1",
-    "-cmd|' /C calc'!A0",
-)
+FORMULAS = ("=HYPERLINK(1)", "+1+1", "@SUM(1)", "\t=1", "\r=1", "-cmd|' /C calc'!A0")
 
 
 @pytest.mark.parametrize("name", FORMULAS)
@@ -137,8 +115,7 @@ def test_no_name_of_a_log_is_code_in_a_report(good, tmp_path, monkeypatch):
         main(["compare", f"{name}.parquet", "-o", "new"])
         text = (folder / "new" / "report.html").read_text(encoding="utf-8")
         assert escape(name) in text
-        pages.append(Seen())
-        pages[-1].feed(text)
+        pages.append(Page(text))
     plain, hostile = pages
-    assert hostile.tags == plain.tags
+    assert set(hostile.tags) == set(plain.tags)
     assert hostile.attributes == plain.attributes

@@ -7,10 +7,10 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from courses import course_file
 from forked import Outcome, copied, run_forked
-from synthetic import synthetic_walk
+from synthetic import resting, synthetic_walk
 
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.cli.main import COMMANDS
@@ -22,12 +22,10 @@ FEW = "--gamma 0.5"
 LEARNT = "--observer observer.safetensors --bounds bounds.json"
 WRITING = {
     "demo": "demo -o new",
-    "simulate": "simulate quick.toml -o new",
+    "simulate": "simulate short.toml -o new",
     "train": "train long.parquet --model mlp --inputs q,dq -o new.safetensors",
     "calibrate": f"calibrate own.safetensors long.parquet {FEW} -o new.json",
-    "calibrate's report": (
-        f"calibrate own.safetensors long.parquet {FEW} -o other.json --report new"
-    ),
+    "calibrate's report": f"calibrate own.safetensors long.parquet {FEW} -o b.json --report new",
     "estimate": "estimate walk.parquet --filter leg -o new.parquet",
     "compare": f"compare walk.parquet {LEARNT} -o new",
     "noise": "noise rest.parquet -o new.toml",
@@ -42,7 +40,7 @@ WRITING = {
     "export to TUM": "export walk.parquet -o new.tum",
     "export to MCAP": "export walk.parquet -o new.mcap",
     "align": "align long.parquet -o new",
-    "view": "view quick.toml -o new.rrd",
+    "view": "view short.toml -o new.rrd",
     "robots": "robots spot_class -o new.png",
     "new": "new estimator mine -o new",
     "tune": "tune walk.parquet --filters imu --budget 2 -o new",
@@ -52,14 +50,6 @@ QUICK = ("export to CSV", "import", "noise")
 """Those that each change is tested with; the others are left to `.ci/run`."""
 HOURS = ("demo", "compare", "experiment", "suite", "trace", "loop", "realism")
 """Those that write only when much work is done."""
-SHORT_WALK = """
-name = "quick"
-robot = "spot_class"
-stand = 0.0
-[[segment]]
-duration = 1.0
-forward = 0.5
-"""
 SOON = 5.0
 """s of processor time: several times what a slow machine takes to read the inputs, and no work."""
 SIZES = (0, 500, 20_000)
@@ -70,16 +60,11 @@ SIZES = (0, 500, 20_000)
 def more(good, tmp_path_factory) -> Path:
     """The good files, and a walk and a rest that are long enough to learn from."""
     folder = copied(good, tmp_path_factory.mktemp("outputs") / "good")
-    (folder / "quick.toml").write_text(SHORT_WALK)
+    course_file(folder, 1.0)
     synthetic_walk(0, 12.0, noise=0.1, robot="spot_class").write(folder / "long.parquet")
     observer = Observer.load(folder / "observer.safetensors")
     replace(observer, robot="spot_class").save(folder / "own.safetensors")
-    log = synthetic_walk(0, 12.0, robot="spot_class")
-    rng = np.random.default_rng(0)
-    still = {f"gyro_{axis}": 1e-3 * rng.standard_normal(len(log.t)) for axis in "xyz"}
-    still |= {f"accel_{axis}": 1e-2 * rng.standard_normal(len(log.t)) for axis in "xyz"}
-    still["accel_z"] += 9.81
-    replace(log, frame=log.frame.assign(**still)).write(folder / "rest.parquet")
+    resting(12.0).write(folder / "rest.parquet")
     return folder
 
 
@@ -131,27 +116,24 @@ def test_a_disk_that_fills_up_is_one_line(what, more, tmp_path):
             assert "File too large" in found.err
 
 
-def planted(kind: str, path: Path, outside: Path) -> None:
-    if kind == "a link":
-        path.symlink_to(outside)
-    elif kind == "a link to nothing":
-        path.symlink_to(outside.with_name("nothing"))
-    elif kind == "a pipe":
-        os.mkfifo(path)
-    else:
-        path.mkdir()
+PLANTED = {
+    "a link": lambda path: path.symlink_to("../victim.txt"),
+    "a link to nothing": lambda path: path.symlink_to("../nothing"),
+    "a pipe": os.mkfifo,
+    "a folder": os.mkdir,
+}
 
 
-@pytest.mark.parametrize("kind", ["a link", "a link to nothing", "a pipe", "a folder"])
+@pytest.mark.parametrize("kind", PLANTED)
 @pytest.mark.parametrize("name", [files.MANIFEST, ".new.csv.lock"])
-@pytest.mark.parametrize("what", [pytest.param("export to CSV"), pytest.param("import's map")])
+@pytest.mark.parametrize("what", ["export to CSV", "import's map"])
 def test_a_manifest_or_a_lock_that_is_no_file_is_refused(what, name, kind, more, tmp_path):
     """Lines would be appended to a file outside of the folder, or a reader waited for."""
     folder = copied(more, tmp_path / "case")
     (output,) = (word for word in WRITING[what].split() if word.startswith("new"))
     outside = tmp_path / "victim.txt"
     outside.write_text("keep\n")
-    planted(kind, folder / name.replace("new.csv", output), outside)
+    PLANTED[kind](folder / name.replace("new.csv", output))
     found = run(what, folder)
     assert found.refused, found
     assert "no regular file" in found.err

@@ -1,51 +1,47 @@
 """Logs of next to nothing: every command that reads a log works on them, or refuses in one line."""
 
-import json
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from forked import copied, run_forked
 
-Columns = dict[str, np.ndarray]
+Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
-def rows(*which: int) -> Callable[[Columns], Columns]:
+def rows(*which: int) -> Change:
     """The rows of a slice."""
-    return lambda c: {name: x[slice(*which)] for name, x in c.items()}
+    return lambda c: c.iloc[slice(*which)]
 
 
-def without(*starts: str) -> Callable[[Columns], Columns]:
-    return lambda c: {name: x for name, x in c.items() if not name.startswith(starts)}
+def without(*starts: str) -> Change:
+    return lambda c: c.filter([name for name in c if not name.startswith(starts)])
 
 
-def only(*starts: str) -> Callable[[Columns], Columns]:
-    return lambda c: {name: x for name, x in c.items() if name == "t" or name.startswith(starts)}
+def only(*starts: str) -> Change:
+    return lambda c: c.filter([name for name in c if name == "t" or name.startswith(starts)])
 
 
-def held(*starts: str, at: float | None = None) -> Callable[[Columns], Columns]:
+def held(*starts: str, at: float | None = None) -> Change:
     """Columns of one value: `at`, or that of their first row."""
-    return lambda c: {
-        name: np.full(len(x), x[0] if at is None else at) if name.startswith(starts) else x
-        for name, x in c.items()
-    }
 
-
-def reference_in(*which: int | None) -> Callable[[Columns], Columns]:
-    """A reference that was measured in the rows of a slice alone."""
-
-    def change(c: Columns) -> Columns:
-        ok = np.zeros(len(c["t"]))
-        ok[slice(*which)] = 1.0
-        return {**c, "ref_ok": ok}
+    def change(c: pd.DataFrame) -> pd.DataFrame:
+        names = [name for name in c if name.startswith(starts)]
+        return c.assign(**{name: c[name].iloc[0] if at is None else at for name in names})
 
     return change
 
 
+def reference_in(*which: int | None) -> Change:
+    """A reference that was measured in the rows of a slice alone."""
+    return lambda c: c.assign(ref_ok=np.isin(range(len(c)), range(len(c))[slice(*which)]) * 1.0)
+
+
 GROUPS = ("gyro_", "accel_", "q_", "dq_", "tau_", "contact_", "ref_p", "ref_q", "ref_")
-LOGS: dict[str, tuple[Callable[[Columns], Columns], ...]] = {
+LOGS: dict[str, tuple[Change, ...]] = {
     **{f"{n} rows": (rows(n),) for n in (0, 1, 2, 3, 5, 10)},
     **{f"{n} rows without a reference": (rows(n), without("ref_")) for n in (3, 10)},
     **{f"{n} rows of an IMU": (rows(n), only("gyro_", "accel_")) for n in (3, 10)},
@@ -56,17 +52,14 @@ LOGS: dict[str, tuple[Callable[[Columns], Columns], ...]] = {
     **{f"without {one}": (without(one),) for one in (*GROUPS, "q_", "dq_")},
     "no legs": (without("q_", "dq_", "tau_", "contact_"),),
     "a reference of one row": (reference_in(1),),
-    "a reference of two rows": (reference_in(2),),
     "a reference of the last row": (reference_in(-1, None),),
     "a reference of no row": (reference_in(0),),
     "a position that stands": (held("ref_p", "ref_v"),),
-    "an attitude that stands": (held("ref_q"),),
     "a reference that stands": (held("ref_"),),
     "nothing moves": (held(*GROUPS),),
     "times alone": (only("none"),),
     "a reference alone": (only("ref_"),),
     "contacts alone": (only("contact_"),),
-    "angles alone": (only("q_"),),
     "an IMU alone": (only("gyro_", "accel_"),),
     "IMU and reference": (only("gyro_", "accel_", "ref_"),),
 }
@@ -102,13 +95,12 @@ CASES = [(log, command) for log in LOGS for command in COMMANDS]
 def test_a_log_of_next_to_nothing_is_read_or_refused_in_one_line(log, command, good, tmp_path):
     folder = copied(good, tmp_path / "case")
     table = pq.read_table(folder / "walk.parquet")
-    columns = {name: table[name].to_numpy() for name in table.column_names}
+    frame = table.to_pandas()
     for change in LOGS[log]:
-        columns = change(columns)
-    about = table.schema.metadata[b"surefoot"]
-    assert json.loads(about)["robot"] == "spot_class"
-    made = pa.table(columns).replace_schema_metadata({b"surefoot": about})
-    pq.write_table(made, folder / "walk.parquet")
+        frame = change(frame)
+    made = pa.Table.from_pandas(frame, preserve_index=False)
+    about = {b"surefoot": table.schema.metadata[b"surefoot"]}
+    pq.write_table(made.replace_schema_metadata(about), folder / "walk.parquet")
     found = run_forked(command.split(), folder, memory=2_000_000_000)
     if found.code == -24 and command.startswith(SLOW):
         pytest.skip("works on it for longer than a refusal may take")

@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from estimates import metrics_of
 from synthetic import without
 
+from surefoot import Learnt, Log, Robot, Scenario, import_log, run_filter, walk
+from surefoot.extend import Ground, Segment
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.advice import advice, likelihood, needs_advice
 from surefoot.scenarios.estimate.contact_sources import (
@@ -15,20 +18,12 @@ from surefoot.scenarios.estimate.contact_sources import (
     contact_lines,
     moving_in_contact,
 )
-from surefoot.scenarios.estimate.contract import Learnt
-from surefoot.scenarios.estimate.run import run_filter
 from surefoot.scenarios.estimate.settings import (
     FilterSettings,
     NoiseSettings,
     StartSettings,
     StateSettings,
 )
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +65,8 @@ def test_contacts_that_come_late_are_found(walked):
     log, robot = walked
     names = [f"contact_{leg}" for leg in log.legs]
     rows = np.maximum(np.arange(len(log.t)) - round(0.04 * log.rate), 0)
-    late = log.with_columns({name: log.frame[name].to_numpy()[rows] for name in names})
-    said = _advised(late, robot, FilterSettings())
+    lagging = log.with_columns({name: log.frame[name].to_numpy()[rows] for name in names})
+    said = _advised(lagging, robot, FilterSettings())
     assert "late = { contact = 0.04 }" in said
 
 
@@ -89,16 +84,12 @@ def test_a_start_that_was_given_wrong_is_found(walked):
     assert "of start and state" in _advised(log, robot, wrong)
 
 
-def test_advice_that_mends_nothing_is_not_given(walked):
+def test_advice_that_mends_nothing_is_not_given_nor_is_a_slow_filter_tried_on(walked, monkeypatch):
     log, robot = walked
     lost = log.with_columns({"gyro_x": 0.5 * log.t})
-    assert "no single change" in _advised(lost, robot, FilterSettings())
-
-
-def test_a_slow_filter_is_not_tried_on_and_on(walked, monkeypatch):
-    log, robot = walked
-    lost = log.with_columns({"gyro_x": 0.5 * log.t})
-    assert "not all" not in _advised(lost, robot, FilterSettings())
+    said = _advised(lost, robot, FilterSettings())
+    assert "no single change" in said
+    assert "not all" not in said
     for limit in ("AT_LEAST", "PATIENCE"):
         monkeypatch.setattr(f"surefoot.scenarios.estimate.advice.{limit}", 0.0)
     assert "not all changes were tried" in _advised(lost, robot, FilterSettings())
@@ -174,9 +165,7 @@ def walks() -> dict[str, Log]:
 
 
 def rpe(log: Log, robot: Robot) -> float:
-    found = run_filter("leg", log, robot).metrics
-    assert found is not None
-    return found.rpe_trans
+    return metrics_of("leg", log, robot).rpe_trans
 
 
 def judged(true: Log, wrong: Log, lacks: tuple[str, ...]) -> dict[str, Any]:

@@ -4,18 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 from biped import biped, biped_log
+from estimates import metrics_of
 from refusals import refused
+from written import written
 
 from studies.measured import measured_folder
-from surefoot.scenarios.estimate.run import run_filter
+from surefoot import Robot, Scenario, import_log, run_filter, walk
+from surefoot.extend import Ground, Segment, effect
 from surefoot.scenarios.trace.run import trace_logs
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.importing.recording import import_log
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +61,7 @@ def test_its_feet_are_where_mujoco_puts_them_and_move_as_differences_say(robot):
 
 def test_the_leg_filter_follows_it(robot, log):
     known = Robot.for_log(log)
-    leg, imu = (run_filter(name, log, known).metrics for name in ("leg", "imu"))
-    assert leg is not None
-    assert imu is not None
+    leg, imu = (metrics_of(name, log, known) for name in ("leg", "imu"))
     assert leg.ape_trans < 0.01 < 0.1 < imu.ape_trans
     assert leg.nees_position < 6.0
 
@@ -85,8 +79,8 @@ def test_columns_in_another_order_are_the_same_robot(robot, log):
         Robot.for_log(type(log)(without, log.meta, "x")).feet_I(log.q[:, -2::-1]),
         other.feet_I(shuffled.q),
     )
-    with pytest.raises(SurefootError, match="x: the log of biped lacks q_left_knee"):
-        Robot.for_log(type(log)(frame.drop(columns=["q_left_knee", "dq_left_knee"]), log.meta, "x"))
+    lacking = type(log)(frame.drop(columns=["q_left_knee", "dq_left_knee"]), log.meta, "x")
+    refused("x: the log of biped lacks q_left_knee", Robot.for_log, lacking)
 
 
 @pytest.mark.parametrize(
@@ -116,22 +110,16 @@ def test_it_does_not_walk_in_simulation(robot):
     refused("only quadrupeds of three hinges a leg walk", walk, scenario, robot, 0)
 
 
+SHIN = """<body name="{s}_shin" pos="0 {y} 0"><joint name="{s}_hip" axis="0 1 0"
+actuatorfrcrange="-30 30"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/>
+<body name="{s}_toe" pos="0 0 -.4"/></body>"""
+
+
 def test_feet_are_named_where_no_shape_says(tmp_path):
-    path = tmp_path / "bare.urdf"
-    joints = "".join(
-        f'<link name="{s}_shin"><inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" '
-        f'ixy="0" ixz="0" iyz="0"/></inertial></link><link name="{s}_toe"/>'
-        f'<joint name="{s}_hip" type="revolute"><parent link="trunk"/><child link="{s}_shin"/>'
-        f'<origin xyz="0 {y} 0"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="30" '
-        f'velocity="5"/></joint><joint name="{s}_end" type="fixed"><parent link="{s}_shin"/>'
-        f'<child link="{s}_toe"/><origin xyz="0 0 -.4"/></joint>'
-        for s, y in (("a", -0.1), ("b", 0.1))
-    )
-    inertial = (
-        '<inertial><mass value="7"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial>"
-    )
-    path.write_text(f'<robot name="bare"><link name="trunk">{inertial}</link>{joints}</robot>')
+    legs = "".join(SHIN.format(s=side, y=y) for side, y in (("a", -0.1), ("b", 0.1)))
+    trunk = '<freejoint/><inertial pos="0 0 0" mass="7" diaginertia=".1 .1 .1"/>'
+    text = f'<mujoco><worldbody><body name="trunk">{trunk}{legs}</body></worldbody></mujoco>'
+    path = written(tmp_path / "bare.xml", text)
     refused("name the feet in the map", Robot.load, path)
     bare = Robot.load(path, feet={"one": "b_toe", "other": "a_toe"})
     assert bare.limbs.legs == ("one", "other")

@@ -4,10 +4,10 @@ import json
 import os
 
 import pytest
+from refusals import refused
 
 from surefoot.scenarios.cache import finished_case, product
 from surefoot.sim.common import sources
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import sources_digest
 
 
@@ -19,13 +19,14 @@ def house(tmp_path, monkeypatch):
     for name, text in texts.items():
         (tmp_path / "house" / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    sources_digest.cache_clear()
-    sources._folders.cache_clear()
-    sources._source.cache_clear()
+    forget()
     yield tmp_path / "house"
-    sources_digest.cache_clear()
-    sources._folders.cache_clear()
-    sources._source.cache_clear()
+    forget()
+
+
+def forget():
+    for one in (sources_digest, sources._folders, sources._source):
+        one.cache_clear()
 
 
 def made(folder, inputs, log):
@@ -71,7 +72,6 @@ def test_a_file_that_a_kill_left_without_its_card_is_made_again(tmp_path, house)
 
 
 CHANGED = {
-    "edited": lambda path: path.write_text("edited"),
     "empty": lambda path: path.write_text(""),
     "a link": lambda path: (path.rename(path.with_name("other")), path.symlink_to("other")),
     "a pipe": lambda path: (path.unlink(), os.mkfifo(path)),
@@ -107,8 +107,8 @@ def test_a_row_that_was_changed_is_made_again(text, tmp_path, house, capsys):
 @pytest.mark.parametrize("plant", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("x")])
 def test_a_row_that_is_no_file_is_refused(plant, tmp_path, house):
     plant(tmp_path / "case.json")
-    with pytest.raises(SurefootError, match=r"case\.json: is a link or no regular file"):
-        finished_case(tmp_path, "case", {}, "house.a", dict)
+    said = r"case\.json: is a link or no regular file"
+    refused(said, finished_case, tmp_path, "case", {}, "house.a", dict)
 
 
 def test_equal_contents_have_equal_digests_whatever_made_them(tmp_path, house):

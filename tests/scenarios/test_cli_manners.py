@@ -8,17 +8,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from processes import ended, printed, python
 from refusals import refused
+from synthetic import resting
 
 import surefoot
 from surefoot.scenarios.cli.main import COMMANDS, main
 from surefoot.scenarios.cli.start import _check_environment
 from surefoot.sim.common import progress
-from surefoot.sim.log import Log, Meta
 
 PLUGIN = """
 from surefoot.scenarios.estimate.bundled import Imu
@@ -39,7 +37,9 @@ def command(folder: Path | None, *arguments: str, **variables: str):
 
 def test_without_a_command_the_commands_are_listed(capsys):
     assert not ended("")
-    assert "Begin with `surefoot demo`" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "Begin with `surefoot demo`" in shown
+    assert all(name in shown for name in COMMANDS)
 
 
 def test_version(capsys):
@@ -47,37 +47,19 @@ def test_version(capsys):
     assert capsys.readouterr().out.strip() == f"surefoot {surefoot.__version__}"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "suggestion"),
-    [
-        ("simulat demo/walk -o new", "did you mean 'simulate'?"),
-        ("suite spott -o new", "did you mean 'spot'?"),
-        ("simulate demo/walk --robt spot_class -o new", "--robot"),
-        ("estimate log.parquet --filtr leg", "--filtr leg; did you mean '--filter'?"),
-    ],
-)
-def test_a_slip_of_the_pen_is_answered_by_what_was_meant(arguments, suggestion, capsys):
-    message = ended(arguments)
-    assert suggestion in f"{message}{capsys.readouterr().err}"
-
-
 ABSENT = {
     "train gone.parquet -o o.safetensors": "gone.parquet: no such file",
-    "import gone.csv --map go1_square -o l.parquet": "gone.csv: no such file",
     "import --guess gone.csv": "gone.csv: no such file",
     "import here.csv --map go1_sqare -o l.parquet": "; did you mean 'go1_square'?",
     "import here.csv --map gone.toml -o l.parquet": "import map gone.toml: No such file",
     "simulate demo/wlak -o new": "; did you mean 'demo/walk'?",
     "simulate demo/walk --robot gone.xml -o new": "gone.xml: no such MJCF file",
-    "view demo/wlak": "; did you mean 'demo/walk'?",
     "view gone.rrd": "gone.rrd: no such file",
     "robots spot_clas": "; did you mean 'spot_class'?",
-    "plan --robot spot_clas payload": "; did you mean 'spot_class'?",
     "realism here.csv --walker spot_clas -o new": "; did you mean 'spot_class'?",
     "estimate here.csv --filter lag": "; did you mean 'leg'?",
     "plan --robot spot_class gyro_scal": "; did you mean 'gyro_scale'?",
     "noise here.csv": "here.csv: not a log, which is a Parquet file; `surefoot import`",
-    "trace here.csv -o new": "here.csv: not a log, which is a Parquet file",
     "experiment gone.toml -o new": "experiment gone.toml: No such file",
 }
 ONE_BY_ONE = """
@@ -138,12 +120,10 @@ def test_nonsense_in_a_variable_that_libraries_read_is_one_line(name):
     ("name", "value", "accepted"),
     [
         ("OMP_NUM_THREADS", "2,1", False),
-        ("OMP_NUM_THREADS", "", True),
         ("NUMBA_NUM_THREADS", "0", False),
         ("NUMBA_NUM_THREADS", "", True),
         ("SOURCE_DATE_EPOCH", "banana", False),
         ("SOURCE_DATE_EPOCH", "0", True),
-        ("SOURCE_DATE_EPOCH", "", True),
         ("MPLBACKEND", "svg", True),
     ],
 )
@@ -156,23 +136,22 @@ def test_numbers_in_the_environment_are_what_libraries_accept(name, value, accep
         refused(f"{name} .*'{value}'", _check_environment)
 
 
-def test_results_are_json_where_that_is_asked_for(capsys):
+def test_results_are_json_where_that_is_asked_for(tmp_path, capsys):
     main(["robots", "spot_class", "--json"])
     card = json.loads(capsys.readouterr().out)
     assert (card["mass"], len(card["joints"]), card["walks"]) == (32.7, 12, True)
     main(["robots", "--json"])
     assert json.loads(capsys.readouterr().out)["spot_class"] == "bundled"
-
-
-def test_the_noise_of_a_rest_is_json_too(tmp_path, capsys):
-    t = 0.01 * np.arange(3000)
-    readings = 1e-3 * np.random.default_rng(0).standard_normal((len(t), 6)) + [0, 0, 0, 0, 0, 9.81]
-    names = [f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"]
-    frame = pd.DataFrame({"t": t} | dict(zip(names, readings.T, strict=True)))
-    Log(frame, Meta(rate=100.0)).write(tmp_path / "rest.parquet")
-    main(["noise", str(tmp_path / "rest.parquet"), "--json"])
+    resting(30.0, 100.0).write(tmp_path / "rest.parquet")
+    main(["noise", f"{tmp_path}/rest.parquet", "--json"])
     white = json.loads(capsys.readouterr().out)["gyro"][0]["white"]
     assert white["low"] < 1e-4 < white["high"]  # 1e-3 rad/s at 100 Hz
+
+
+def test_the_list_of_robots_loads_none(capsys, monkeypatch):
+    monkeypatch.setattr("surefoot.sim.robot.Robot.load", lambda *_: pytest.fail("loaded"))
+    main(["robots"])
+    assert "spot_class" in capsys.readouterr().out
 
 
 def test_a_pipe_is_told_of_progress_once_a_minute(monkeypatch):
@@ -216,11 +195,13 @@ def test_a_file_that_is_no_plugin_is_one_line(tmp_path, text, message):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_has_a_sentence_for_each_option_in_words_and_not_in_pythons(command, capsys):
+def test_help_has_a_whole_sentence_for_each_option(command, capsys, monkeypatch):
     """What tyro adds in brackets follows a full stop, and each flag has a text. Left to itself,
     tyro prints `{None}|PATH`, `(default: None)` and `(default: )`, and the defaults of flags."""
+    monkeypatch.setenv("COLUMNS", "80")
     assert not ended(f"{command} --help")
     help_ = capsys.readouterr().out
+    assert not re.search(r"…|\.\.\.\n ", help_.replace("LOG...", ""))
     assert not re.findall(r"None|default: (?:''|False|True|)\)", help_)
     text = " ".join(re.sub("[─│╭╮╰╯]", " ", help_.partition("╭")[2]).split())
     bare = r"\S*[^.\s] \((?:required|optional|repeatable|default: [^)]*)\)"

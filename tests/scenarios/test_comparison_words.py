@@ -10,15 +10,8 @@ from matplotlib.figure import Figure
 
 from surefoot.estimator.metrics import Metrics
 from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
-from surefoot.scenarios.compare import (
-    ONE_WALK,
-    Comparison,
-    _not_held,
-    _pictures,
-    error_summary,
-    with_best_marked,
-)
-from surefoot.scenarios.estimate.estimators import ESTIMATORS, Traits, traits
+from surefoot.scenarios import compare
+from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.run import Result
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
@@ -33,7 +26,7 @@ def metrics() -> Metrics:
 def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
     bold = replace(metrics, ape_trans=0.5, nees_position=149.0)
     shy = replace(metrics, ape_trans=0.02, nees_position=0.01)
-    text = error_summary("yard", {"bold": bold, "even": metrics, "shy": shy})
+    text = compare.error_summary("yard", {"bold": bold, "even": metrics, "shy": shy})
     assert text.startswith("On yard: shy has the least error, 0.020 m (APE_trans)")
     assert "overconfident (NEES_pos, 3 if consistent): bold (149.00)" in text
     assert "underconfident (NEES_pos, 3 if consistent): shy (0.01)" in text
@@ -42,13 +35,13 @@ def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
 
 def test_bounds_that_do_not_hold_are_said_to():
     found = EmpiricalCoverage(np.full(3, 0.6), 0.28, np.array([0.09, 0.56]), 12)
-    assert "28 (9–56) %" in _not_held(found, 0.8)
-    assert _not_held(replace(found, joint_interval=np.array([0.09, 0.81])), 0.8) == ""
+    assert "28 (9–56) %" in compare._not_held(found, 0.8)
+    assert compare._not_held(replace(found, joint_interval=np.array([0.09, 0.81])), 0.8) == ""
 
 
 def test_a_consistent_filter_stays_within_the_interval_on_19_of_20_walks():
     nees = np.square(np.random.default_rng(0).normal(size=(20000, 3))).sum(axis=1)
-    low, high = ONE_WALK
+    low, high = compare.ONE_WALK
     assert np.mean((nees > low) & (nees < high)) == pytest.approx(0.95, abs=0.005)
 
 
@@ -62,43 +55,28 @@ def test_the_best_of_each_log_is_marked_and_empty_columns_go():
             "coverage [%]": [None] * 4,
         }
     )
-    marked = with_best_marked(found)
+    marked = compare.with_best_marked(found)
     assert "coverage [%]" not in marked
-    assert list(marked["APE_trans [m]"]) == [
-        0.2,
-        "**0.100**",
-        "**0.100**",
-        9.0,
-    ]  # one alone has none
+    best = "**0.100**"
+    assert list(marked["APE_trans [m]"]) == [0.2, best, best, 9.0]  # one alone has none
     assert list(marked["NEES_pos"]) == ["**2.000**", 90.0, 0.1, 1.0]
-    found["NEES_pos"] = [0.1, 90.0, 0.1, 1.0]
-    assert list(with_best_marked(found)["NEES_pos"]) == [0.1, 90.0, 0.1, 1.0]  # none is right
+    none_is_right = [0.1, 90.0, 0.1, 1.0]
+    found["NEES_pos"] = none_is_right
+    assert list(compare.with_best_marked(found)["NEES_pos"]) == none_is_right
 
 
 def test_the_imu_alone_is_drawn_where_nothing_else_ran(walk):
     """It is kept out of pictures that it would spoil; alone, its chart was empty."""
     health: Any = None
     imu = Result("imu", "arc", walk.trajectories["leg"], None, 0.0, health)
-    alone = Comparison(walk.log, walk.robot, (imu,), {}, None, None, {})
-    (drawn,) = [p.figure for p in _pictures(alone, None) if "position_error" in p.file]
+    alone = compare.Comparison(walk.log, walk.robot, (imu,), {}, None, None, {})
+    (drawn,) = [p.figure for p in compare._pictures(alone, None) if "position_error" in p.file]
     assert isinstance(drawn, Figure)
     assert drawn.axes[0].lines
 
 
 class Mine:
     of_legs = True
-
-
-def test_traits_are_the_defaults_where_a_class_says_nothing(monkeypatch):
-    assert traits("nobody") == Traits()
-    monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
-    assert traits("mine") == Traits(of_legs=True)
-
-
-def test_one_of_each_kind_is_no_variant():
-    short = [name for name in ESTIMATORS.bundled if not traits(name).variant]
-    assert short == ["coverage", "velocity", "leg", "imu"]
-    assert [name for name in ESTIMATORS.bundled if not traits(name).drawn] == ["imu"]
 
 
 def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch):

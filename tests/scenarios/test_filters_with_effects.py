@@ -4,16 +4,15 @@ from dataclasses import replace
 
 import pytest
 from refusals import refused
+from written import written
 
+from surefoot import Scenario, walk
+from surefoot.extend import Ground, Segment, effect
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.compare import compare_files
 from surefoot.scenarios.estimate.file import estimate_file
 from surefoot.scenarios.settings import CompareSettings, EstimateSettings
-from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import save_effects
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 COURSE = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
 HAS = [effect("encoder_offset", "RL_thigh", -0.02), effect("link_length", "FR_calf", 0.006)]
@@ -61,8 +60,8 @@ def test_every_filter_of_a_comparison_has_them(files, tmp_path):
         out = tmp_path / str(name)
         table, _ = compare_files(CompareSettings(logs, out, effects=chosen))
         errors.append(table.set_index("filter")["RPE_trans [m]"])
-        told = "link_length FR_calf" in (out / "report.html").read_text()
-        assert told == (name is not None)
+        named = "link_length FR_calf" in (out / "report.html").read_text()
+        assert named == (name is not None)
     without, with_them = errors
     assert (with_them[["leg", "leg_slip"]] < 0.5 * without[["leg", "leg_slip"]]).all()
     assert with_them["imu"] == without["imu"]  # it does not use the legs
@@ -76,20 +75,12 @@ unit = "ratio"
 """
 
 
-@pytest.mark.parametrize(("text", "why"), [("", "no such file"), (OF_NO_LEG, "shoulder")])
 @pytest.mark.parametrize("command", ["estimate {} --filter leg -o {}.parquet", "compare {} -o {}"])
-def test_a_bad_file_is_one_line_and_nothing_is_written(files, tmp_path, command, text, why):
-    bad, out = tmp_path / "bad.toml", tmp_path / "new"
-    if text:
-        bad.write_text(text)
+def test_a_bad_file_is_one_line_and_nothing_is_written(files, tmp_path, command):
+    bad, out = written(tmp_path / "bad.toml", OF_NO_LEG), tmp_path / "new"
     line = command.format(files / "built.parquet", out).split()
-    with pytest.raises(SystemExit) as stopped:
-        main([*line, "--effects", str(bad)])
-    said = str(stopped.value)
-    assert "bad.toml" in said
-    assert why in said
-    assert "\n" not in said
-    assert {one.name for one in tmp_path.iterdir()} <= {"bad.toml"}
+    refused("bad.toml.*shoulder", main, [*line, "--effects", str(bad)], error=SystemExit)
+    assert list(tmp_path.iterdir()) == [bad]
 
 
 def test_an_effect_is_not_compensated_twice(files):

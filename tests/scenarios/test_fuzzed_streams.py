@@ -14,20 +14,18 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, rule, run_state_machine_as_test
+from refusals import refused
 from synthetic import synthetic_walk
 
+from surefoot import Bounds, Learnt, Robot, Sample, StreamingEstimator
 from surefoot.estimator.core.checks import DivergedError, SampleError
-from surefoot.models.calibration.bounds import Bounds
+from surefoot.extend import Beginning, Stream, SurefootError, samples
 from surefoot.models.observer.observer import observer_of_torch
 from surefoot.scenarios.estimate import streaming
-from surefoot.scenarios.estimate.contract import Beginning, Learnt, Sample, Stream, samples
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
 from surefoot.scenarios.estimate.settings import FilterSettings, tuned
-from surefoot.scenarios.estimate.streaming import StreamingEstimator
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
-from surefoot.sim.robot import Robot
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
 PERIOD = 0.002
@@ -235,26 +233,26 @@ def changed(**fields):
 BAD_SAMPLES = {
     "repeated": lambda sample, before: sample._replace(t=before.t),
     "late": lambda sample, before: sample._replace(t=before.t - 0.3),
-    "a stamp of NaN": changed(t=np.nan),
-    "a stamp in nanoseconds": changed(t=1.7e18),
     "a stamp of another clock": changed(t=1.7e9),
     "a stamp of digits": changed(t="0.5"),
     "a complex stamp": changed(t=1j),
     "NaN": changed(gyro=np.full(3, np.nan)),
     "nothing": changed(accel=None),
     "another shape": changed(gyro=np.zeros((3, 1))),
-    "text": changed(gyro=["a", "b", "c"]),
     "digits": changed(accel=["0", "0", "9.8"]),
     "complex": changed(accel=np.array([0, 0, 9.8 + 1j])),
-    "objects": changed(gyro=[object()] * 3),
     "ragged": changed(gyro=[[1], [1, 2], 3]),
-    "joints too few": changed(q=np.zeros(11)),
     "joints missing": changed(q=None),
     "a contact of a half": changed(contact=np.full(4, 0.5)),
     "a contact too many": changed(contact=np.ones(5, bool)),
     "extra text": changed(extra={"x_a": "hot"}),
     "no sample": lambda sample, before: {"t": sample.t},
 }
+
+
+def packed(stream: StreamingEstimator) -> np.ndarray:
+    assert stream.state is not None
+    return stream.state.pack()
 
 
 @pytest.mark.parametrize("at", [0, 1, 20, 60])
@@ -264,24 +262,22 @@ def test_a_bad_sample_is_refused_alone(what, at):
     _, robot, _, every = loop()
     good = [sample._replace(extra=None) for sample in every[:600:5]]
     online, alone = StreamingEstimator("imu", robot), StreamingEstimator("imu", robot)
-    refused = []
+    skipped = []
     for row, sample in enumerate(good):
         if row == at:
             try:
                 online.step(BAD_SAMPLES[what](sample, good[max(row - 1, 0)]))
             except SampleError:
-                refused.append(row)
+                skipped.append(row)
             continue
         try:
             online.step(sample)
         except SampleError:  # a first stamp is wrong by what follows it alone
-            refused.append(row)
+            skipped.append(row)
         alone.step(sample)
-    assert len(refused) == (0 if (at, what) == (0, "repeated") or (at, what) == (0, "late") else 1)
-    assert online.state is not None
-    assert alone.state is not None
+    assert len(skipped) == (0 if at == 0 and what in ("repeated", "late") else 1)
     if at > 1:
-        np.testing.assert_array_equal(online.state.p_GI, alone.state.p_GI)
+        np.testing.assert_array_equal(packed(online), packed(alone))
 
 
 def test_samples_may_share_a_buffer():
@@ -293,9 +289,7 @@ def test_samples_may_share_a_buffer():
         online.step(sample._replace(gyro=buffer))
         alone.step(sample)
     np.testing.assert_array_equal(online.covariance, alone.covariance)
-    assert online.state is not None
-    assert alone.state is not None
-    np.testing.assert_array_equal(online.state.R_GI, alone.state.R_GI)
+    np.testing.assert_array_equal(packed(online), packed(alone))
 
 
 def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):
@@ -303,8 +297,7 @@ def test_samples_that_never_end_half_a_second_are_bounded(monkeypatch):
     online, first = StreamingEstimator("imu", None), Sample(0.0, np.zeros(3), np.array([0, 0, 9.8]))
     for row in range(10):
         online.step(first._replace(t=1e-9 * row))
-    with pytest.raises(SampleError, match="10 samples"):
-        online.step(first._replace(t=1e-3))
+    refused("10 samples", online.step, first._replace(t=1e-3), error=SampleError)
     assert online.step(first._replace(t=1.0)) is not None
 
 

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from courses import course_file
 from dataset_index import read_index
 from processes import printed
 
@@ -12,19 +13,12 @@ from surefoot.sim.log import LogReader
 
 LAP = """robot = "spot_class"
 laps = {laps}
-[ground]
-mu = 0.7
 [[segment]]
+repeat = 2
+[[segment.segment]]
 duration = 20.0
 forward = 0.5
-[[segment]]
-duration = 10.0
-forward = 0.3
-turn = 0.3141592653589793
-[[segment]]
-duration = 20.0
-forward = 0.5
-[[segment]]
+[[segment.segment]]
 duration = 10.0
 forward = 0.3
 turn = 0.3141592653589793
@@ -46,18 +40,10 @@ for name, arguments in (
     found[name] = {"MB": peak, "CPU s": time.process_time() - begun}
 print(json.dumps(found))
 """
-STEP = """robot = "spot_class"
-stand = 0.1
-[[segment]]
-duration = 0.2
-forward = 0.3
-[ranges]
-mu = [0.8, 1.2]
-"""
 DATASET = """
 import resource, sys
 from surefoot.scenarios.cli.main import main
-main(["simulate", "step.toml", "--seeds", sys.argv[1], "--workers", "2", "-o", "walks"])
+main(["simulate", "short.toml", "--seeds", sys.argv[1], "--workers", "2", "-o", "walks"])
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
 """
 MORE = {"simulate": 150.0, "estimate": 500.0}
@@ -87,7 +73,7 @@ def test_memory_is_flat_and_time_linear(tmp_path, minutes):
 @pytest.mark.slow
 def test_a_thousand_walks_take_the_memory_of_twenty(tmp_path):
     """And those that are there already are neither walked again nor lost."""
-    (tmp_path / "step.toml").write_text(STEP)
+    course_file(tmp_path, 0.2, "[ranges]\nmu = [0.8, 1.2]\n")
 
     def peak(seeds: str) -> float:
         said = printed("-c", DATASET, seeds, cwd=tmp_path, timeout=None)

@@ -8,10 +8,8 @@ from pathlib import Path
 
 from numpy.testing import assert_allclose
 
-from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.scenarios.estimate.run import run_filter
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
+from surefoot import Log, Robot, run_filter
+from surefoot.extend import Trajectory
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
 

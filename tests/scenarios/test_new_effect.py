@@ -2,59 +2,26 @@
 
 import os
 import tomllib
-from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 import pytest
 from own_package import found
 from processes import printed, python
 from refusals import refused
 from synthetic import without
+from warming import GyroWarming
 
 from studies.blind.outside_effects import ThermalGyroDrift
+from surefoot import Robot, Scenario, walk
+from surefoot.extend import AXES, Effect, Estimator, Ground, Segment
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.estimate.contract import Estimator
-from surefoot.scenarios.estimate.estimators import ESTIMATORS
-from surefoot.scenarios.estimate.settings import tuned
-from surefoot.scenarios.experiments.file import Experiment
-from surefoot.scenarios.reporting.palette import estimator_color, estimator_line
 from surefoot.sim.effects import CATALOGUE, add
-from surefoot.sim.effects.base import AXES, Effect, Traced, with_columns
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 
 
 SIZE = 0.015  # rad/s
-
-
-class GyroWarming(Effect):
-    """A gyro's bias grows to this size while it warms up, with a time constant of 16 s."""
-
-    name = "gyro_warming"
-    unit = "rad/s"
-    bounds = (-0.5, 0.5)
-    targets = AXES
-    traced = Traced(channels=("imu_gyro", "leg_velocity"), step=1e-3, needs=("imu",))
-
-    def alter_streams(self, streams, robot):
-        gyro = streams.gyro.copy()
-        gyro[:, AXES.index(self.target)] += self.value * settled(streams.t)
-        return replace(streams, gyro=gyro)
-
-    def compensate(self, log, robot):
-        column = f"gyro_{self.target}"
-        reading = log.frame[column].to_numpy() - self.value * settled(log.t)
-        return with_columns(log, {column: reading}), robot
-
-
-def settled(t):
-    return 1.0 - np.exp(-(t - t[0]) / 16.0)
 
 
 @pytest.fixture(scope="module")
@@ -131,16 +98,6 @@ def file(log, tmp_path_factory):
     return path
 
 
-def test_an_own_estimator_is_in_every_list():
-    with found("own_estimator"):
-        assert list(ESTIMATORS)[-1] == "standing_feet"
-        assert "standing_feet" in Experiment("one", ()).filters
-        mine = ESTIMATORS["standing_feet"]()
-        assert tuned(Robot.load("v60_class")).of(mine) == {"accel": 0.02, "spread": 0.1}
-        assert estimator_color("standing_feet").startswith("#")
-        assert estimator_line("standing_feet") in ("-", "--", "-.", ":")
-
-
 def test_an_own_estimator_is_tabled_and_drawn(file, tmp_path):
     out = tmp_path / "out"
     with found("own_estimator"):
@@ -182,11 +139,8 @@ def test_it_runs_as_a_plugin_and_its_package_offers_the_same(log, folder):
     ran = run(folder, *line, "--plugin", "two_feet.py")
     assert "APE_trans" in ran.stdout, ran.stderr
     project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
-    ((name, place),) = project["entry-points"]["surefoot.estimators"].items()
-    module, _, kind = place.partition(":")
-    assert (folder / f"{module}.py").is_file()
-    assert f'name = "{name}"' in (folder / f"{module}.py").read_text()
-    assert f"class {kind}" in (folder / f"{module}.py").read_text()
+    assert project["entry-points"]["surefoot.estimators"] == {"two_feet": "two_feet:TwoFeet"}
+    assert "class TwoFeet" in (folder / "two_feet.py").read_text()
 
 
 @pytest.mark.parametrize("name", ["leg", "Big", "class", "../up", "a-b"])

@@ -12,13 +12,10 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from surefoot import Log, Robot, Scenario, walk
+from surefoot.extend import Ground, Segment
 from surefoot.scenarios.cli.main import main
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import Log
 from surefoot.sim.log.schema import GROUPS
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 EPOCH = 1_700_000_000
 """Start of the robot's clock, which counts from 1970 [s]."""
@@ -114,10 +111,10 @@ def test_a_log_as_a_robot_writes_it_is_compared_after_one_wrong_turn(
     with pytest.raises(SystemExit) as refused:
         main(["import", ".", "--map", "mine.toml", "-o", "mine.parquet"])
     captured = capsys.readouterr()
-    told = f"{captured.err}{refused.value.code if isinstance(refused.value.code, str) else ''}"
-    assert len(told.strip().splitlines()) == 1
-    assert "another clock" in told
-    assert "surefoot align" in told
+    line = f"{captured.err}{refused.value.code if isinstance(refused.value.code, str) else ''}"
+    assert len(line.strip().splitlines()) == 1
+    assert "another clock" in line
+    assert "surefoot align" in line
     assert not Path("mine.parquet").exists()
 
     # What align prints goes into the map as it is, in place of the draft's own.

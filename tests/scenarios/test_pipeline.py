@@ -1,49 +1,17 @@
 """From walks to a table: what must hold for the whole path, on short walks and little training."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from estimates import metrics_of
 from refusals import refused
 
-from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import train
 from surefoot.scenarios.compare import compare_log, table, write_comparison
 from surefoot.scenarios.demo import demo
 from surefoot.scenarios.estimate.run import ESTIMATORS, Learnt, run_filter
 from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground, Patch
-from surefoot.sim.log import Log
-from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.walk import walk
 
-SEGMENTS = (Segment(4.0, 0.6), Segment(3.0, 0.4, turn=0.5), Segment(3.0, 0.5, turn=-0.5))
-SHORT = TrainSettings(steps=60, batch=4, every=20)
 TIMING = "step [us]"
-
-
-@pytest.fixture(scope="module")
-def walks(robot) -> list[Log]:
-    ground = Ground(0.8, (Patch(3.0, 0.0, 1.0, 2.0, 0.2),))
-    ranges = Ranges(speed=(0.9, 1.1))
-    scenario = Scenario("short", SEGMENTS, ground, ranges=ranges, laps=2)
-    return [replace(walk(scenario, robot, seed), name=f"walk{seed}") for seed in range(3)]
-
-
-def learn(walks: list[Log]) -> Learnt:
-    observers = tuple(
-        train(walks[0], settings=replace(SHORT, loss=loss, seed=0)) for loss in ("mse", "gml")
-    )
-    return Learnt(
-        observers, tuple(calibrate(o, walks[1], CalibrateSettings(K=20)) for o in observers)
-    )
-
-
-@pytest.fixture(scope="module")
-def learnt(walks) -> Learnt:
-    return learn(walks)
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +58,12 @@ def test_coverage_holds_exactly_the_bounds_it_was_given(compared, learnt):
     assert np.array_equal(updates.active, updates.pi < learnt.bounds[0].gamma)
 
 
-def test_a_declared_effect_is_part_of_the_filters_model(robot):
+def test_a_declared_effect_is_part_of_the_filters_model(robot, course):
     """A known encoder offset costs the leg filter little, the same one kept quiet a lot."""
-    scenario = Scenario("short", SEGMENTS, Ground(0.8))
     offset = effect("encoder_offset", "FL_thigh", 0.04)
-    errors = {}
-    for declared in (True, False):
-        log = walk(scenario, robot, 0, [offset], declared)
-        metrics = run_filter("leg", log, robot).metrics
-        assert metrics is not None
-        errors[declared] = metrics.ape_trans
-    assert errors[True] < 0.5 * errors[False]
+    known, hidden = (walk(course, robot, 0, [offset], declared) for declared in (True, False))
+    error = metrics_of("leg", known, robot).ape_trans
+    assert error < 0.5 * metrics_of("leg", hidden, robot).ape_trans
 
 
 @pytest.mark.slow

@@ -8,27 +8,20 @@ from rerun.chunk import RrdReader
 from written import written
 
 from surefoot.scenarios.cli.main import main
-from surefoot.scenarios.viewer.view import recording_file, view
+from surefoot.scenarios.viewer.view import view
 from surefoot.sim.common.files import command_run, whole_file
 
 
-def entities(path) -> set[str]:
-    return {str(chunk.entity_path) for chunk in RrdReader(path).stream().to_chunks()}
+def shown_in(path) -> tuple[set[str], str]:
+    """Entities of a recording, and the text of the page that opens first."""
+    chunks = {str(one.entity_path): one for one in RrdReader(path).stream().to_chunks()}
+    return set(chunks), str(chunks["/about"].to_record_batch().to_pydict())
 
 
-def explanation(path) -> str:
-    """The text of the page that opens first."""
-    chunks = RrdReader(path).stream().to_chunks()
-    (about,) = [chunk for chunk in chunks if str(chunk.entity_path) == "/about"]
-    return str(about.to_record_batch().to_pydict())
-
-
-def test_a_course_is_shown_on_its_ground_before_it_is_walked(tmp_path, capsys):
+def test_a_course_is_shown_on_its_ground_before_it_is_walked(tmp_path):
     main(["view", "demo/walk", "-o", str(tmp_path / "course.rrd")])
-    assert "course.rrd" in capsys.readouterr().out
-    found = entities(tmp_path / "course.rrd")
+    found, text = shown_in(tmp_path / "course.rrd")
     assert {"/world/truth/path", "/world/ground/patch_0", "/world/robot"} <= found
-    text = explanation(tmp_path / "course.rrd")
     assert "**Ground**" in text
     assert not any(absent in text for absent in ("Dots", "observer", "**Feet**"))
 
@@ -36,37 +29,10 @@ def test_a_course_is_shown_on_its_ground_before_it_is_walked(tmp_path, capsys):
 def test_a_log_is_shown_as_it_is(log, tmp_path):
     log.rows(slice(0, 1000)).write(tmp_path / "log.parquet")
     main(["view", str(tmp_path / "log.parquet"), "-o", str(tmp_path / "log.rrd")])
-    assert {"/world/truth/path", "/feet/contact/FL"} <= entities(tmp_path / "log.rrd")
-    text = explanation(tmp_path / "log.rrd")
+    found, text = shown_in(tmp_path / "log.rrd")
+    assert {"/world/truth/path", "/feet/contact/FL"} <= found
     assert all(shown in text for shown in ("**Dots on the ground**", "**Feet**"))
     assert "observer" not in text
-
-
-def test_what_is_neither_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for line, message in (("view nowhere", "view opens"), ("view no.toml", "No such file")):
-        with pytest.raises(SystemExit, match=message):
-            main(line.split())
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("missing.rrd", None, "no such file"),
-        ("robot.xml", b"<mujoco/>", r"opens recordings .* draws a robot"),
-        ("fake.rrd", b"not a recording", "not a rerun recording"),
-        ("empty.rrd", b"", "not a rerun recording"),
-    ],
-)
-def test_what_is_no_recording_is_one_clear_line(tmp_path, name, content, said):
-    path = tmp_path / name
-    if content is not None:
-        path.write_bytes(content)
-    assert str(path) in refused(said, view, path)
-
-
-def test_a_folder_is_no_recording(tmp_path):
-    refused("is a folder", recording_file, tmp_path)
 
 
 @pytest.mark.parametrize("web", [False, True])

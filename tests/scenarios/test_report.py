@@ -3,7 +3,6 @@
 import csv
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from io import StringIO
 
 import numpy as np
@@ -11,6 +10,8 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
+from web_page import Page
 
 from surefoot.scenarios.reporting.html import (
     Picture,
@@ -25,33 +26,15 @@ from surefoot.scenarios.reporting.pages import (
     Origin,
     origin_of,
     read_origin,
-    tables_folder,
     write_page,
 )
 from surefoot.scenarios.reporting.plotting import new_figure
 from surefoot.scenarios.reporting.tables import cell, to_csv, to_html, to_markdown
-from surefoot.sim.common.errors import SurefootError
 
 TABLE = [
     {"filter": "Leg | IEKF", "APE [m]": 1.23456, "ok": True},
     {"filter": "<b>", "APE [m]": float("nan"), "ok": None},
 ]
-
-
-class Page(HTMLParser):
-    """Text, tags and addresses of a page."""
-
-    def __init__(self, page: str):
-        super().__init__()
-        self.text, self.tags, self.addresses = "", [], []
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.addresses += [v for k, v in attrs if k in ("src", "href")]
-
-    def handle_data(self, data):
-        self.text += data
 
 
 def test_a_report_needs_no_network_and_no_other_file(tmp_path):
@@ -65,8 +48,7 @@ def test_a_report_needs_no_network_and_no_other_file(tmp_path):
     assert all(a.startswith(("data:image/png;base64,", "#")) for a in page.addresses)
     assert "@import" not in text
     assert not re.search(r"url\(|<script|<link", text)
-    with pytest.raises(SurefootError, match="exists already"):
-        write_report(path, "T", [])
+    refused("exists already", write_report, path, "T", [])
 
 
 @given(st.text(st.characters(exclude_categories=("Cs", "Cc")), max_size=30))
@@ -88,26 +70,6 @@ def test_parts_of_a_section_are_headed_below_it_and_no_chapters_of_their_own():
     assert "## B\n\n### b\n\n## C" in markdown_report("T", sections)
 
 
-def test_steps_are_numbered_and_what_is_folded_is_opened_by_its_heading():
-    steps = Step("Look", "surefoot info a.parquet"), Step("Think")
-    sections = [Section("A", steps=steps), Section("B"), Section("C", "said", folded=True)]
-    page = Page(html_report("T", sections))
-    shown = [t for t in page.tags if t in ("li", "pre", "section", "details", "summary")]
-    assert shown == ["section", "li", "pre", "li", "section", "details", "summary"]
-    text = markdown_report("T", sections)
-    assert text.index("1. Look") < text.index("surefoot info a.parquet") < text.index("2. Think")
-
-
-def test_markdown_lines_up_and_keeps_its_columns():
-    lines = to_markdown(TABLE).splitlines()
-    assert len({len(line) for line in lines}) == 1
-    assert lines[1].replace(" ", "").startswith("|---")
-    assert "---:" in lines[1]
-    assert r"Leg \| IEKF" in lines[2]
-    assert "1.235" in lines[2]
-    assert "–" in lines[3]
-
-
 def test_csv_keeps_every_digit():
     frame = pd.DataFrame({"x": [0.1 + 0.2, np.nan], "name": ["a,b", 'c"d']})
     rows = list(csv.DictReader(StringIO(to_csv(frame))))
@@ -121,25 +83,18 @@ def test_html_sets_numbers_apart():
     best = to_html([{"error": 0.2}, {"error": "**0.100**"}, {"error": "**1.2e-04**"}])
     assert '<td class="number"><strong>0.100</strong></td>' in best
     assert '<td class="number">0.200</td>' in best
+    assert "---:" in to_markdown(TABLE)
 
 
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        (1.23456, "1.235"), (np.float64(0.5), "0.500"), (12345.678, "12346"), (-2.5e9, "-2.5e+09"),
-        (3, "3"),
-        (1.2e-5, "1.2e-05"), (0.0, "0.000"), (None, "–"), (float("nan"), "–"), (True, "yes"),
-        (np.bool_(False), "no"), ("text", "text"), (np.int64(7), "7"),
+        (1.23456, "1.235"), (12345.678, "12346"), (-2.5e9, "-2.5e+09"), (1.2e-5, "1.2e-05"),
+        (0.0, "0.000"), (None, "–"), (np.nan, "–"), (np.bool_(False), "no"), (np.int64(7), "7"),
     ],
 )  # fmt: skip
 def test_a_cell_reads_well(value, said):
     assert cell(value) == said
-
-
-def test_an_empty_table_is_a_table():
-    assert to_html([]).startswith("<table>")
-    assert to_csv(pd.DataFrame(columns=["a", "b"])) == "a,b\n"
-    assert to_markdown(pd.DataFrame(columns=["a", "b"])).splitlines()[0] == "| a   | b   |"
 
 
 MODULE = "surefoot.scenarios.reporting.tables"
@@ -152,11 +107,7 @@ def test_a_page_names_what_made_it_and_is_read_back(tmp_path):
     write_page(path, "Some study", [section], origin)
     assert read_origin(path) == origin
     assert origin.commit
-    assert origin.machine.endswith("cores")
-    text = path.read_text()
-    assert text.startswith("# Some study\n\n## Errors\n\nTwo.\n\n")
-    assert "## Errors\n\nTwo.\n\n| a \\| b |" in text
-    assert "[![Errors](some_1.png)](some_1.png)\n\nA box." in text
+    assert "[![Errors](some_1.png)](some_1.png)\n\nA box." in path.read_text()
     assert (tmp_path / "some_1.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -167,28 +118,25 @@ def test_further_tables_are_files_that_the_page_links_to(tmp_path):
     sections = [
         Section("Findings", "The error is small. It was larger.", [{"error": 0.12}]),
         Section("By leg", "One row a leg.\n\nMore.", rows, (picture,), file="legs"),
-        Section("Nothing", "No rows.", file="none"),
     ]
     write_page(page, "Some", sections, Origin(commit="1234567"))
     text = page.read_text()
     assert "- [By leg](../data/some/legs.csv): One row a leg.\n" in text
     assert "## By leg\n\n[![By leg](some_1.png)]" in text
     assert "FL" not in text
-    assert "Nothing" not in text
     table = pd.read_csv(tmp_path / "docs" / "data" / "some" / "legs.csv")
     pd.testing.assert_frame_equal(table, pd.DataFrame(rows))
-    elsewhere = tmp_path / "page.md"
-    assert tables_folder(elsewhere) == tmp_path / "page"
 
 
 def test_a_table_of_a_page_replaces_no_other_file(tmp_path):
     mine = tmp_path / "some" / "legs.csv"
     mine.parent.mkdir()
     mine.write_text("mine")
-    with pytest.raises(SurefootError, match=r"legs\.csv is another file"):
-        write_page(tmp_path / "some.md", "S", [Section("L", "", [{"a": 1}], file="legs")], Origin())
+    section = Section("L", "", [{"a": 1}], file="legs")
+    page = tmp_path / "some.md"
+    refused(r"legs\.csv is another file", write_page, page, "S", [section], Origin())
     assert mine.read_text() == "mine"
-    assert not (tmp_path / "some.md").exists()
+    assert not page.exists()
 
 
 def test_a_page_is_stale_once_its_code_differs_or_is_unknown(tmp_path):
@@ -203,3 +151,13 @@ def test_a_page_is_stale_once_its_code_differs_or_is_unknown(tmp_path):
         assert read_origin(path).stale is stale
     path.write_text("# no page of results\n")
     assert read_origin(path) == Origin()
+
+
+def test_steps_are_numbered_and_what_is_folded_is_opened_by_its_heading():
+    steps = Step("Look", "surefoot info a.parquet"), Step("Think")
+    sections = [Section("A", steps=steps), Section("C", "said", folded=True)]
+    page = Page(html_report("T", sections))
+    shown = [t for t in page.tags if t in ("li", "pre", "section", "details", "summary")]
+    assert shown == ["section", "li", "pre", "li", "details", "summary"]
+    text = markdown_report("T", sections)
+    assert text.index("1. Look") < text.index("surefoot info a.parquet") < text.index("2. Think")

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from refusals import refusal
+from processes import ended
 
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import initial_state, start_covariance
-from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.estimators import estimator_named
-from surefoot.scenarios.estimate.run import parameters_of, run_filter
+from surefoot.scenarios.estimate.run import parameters_of
 from surefoot.scenarios.estimate.settings import FilterSettings, read_settings
 from surefoot.sim.robot import Robot
 
@@ -58,43 +57,12 @@ def test_the_start(log, settings):
     assert_allclose(turned.R_GI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        ("noise.gyro=-1", "gyro must be a number >"),
-        ("noise.gyr=1", "unknown key 'gyr'"),
-        ("noise.gyro", "write it as noise.gyro=1e-3"),
-        ("start.tilt='x'", "tilt must be a number"),
-        ("state.q_GI=[1, 1, 0, 0]", "no unit quaternion"),
-        ("filters.lag.gyro=1e-3", "unknown filter 'lag'"),
-    ],
-)
-def test_a_mistake_is_one_line(line, words):
-    message = refusal(read_settings, None, (line,))
-    assert words in message
-    assert line in message
-
-
-def test_an_unknown_parameter_is_one_line(log):
-    wrong = read_settings(None, ("filters.leg.gravity=1.0",))
-    message = refusal(run_filter, "leg", log, Robot.load("spot_class"), settings=wrong)
-    assert "[filters.leg]: unknown parameter 'gravity'" in message
-
-
 def test_a_lost_filter_ends_with_code_3_and_its_trajectory(log, tmp_path, capsys):
     path, out = tmp_path / "short.parquet", tmp_path / "leg.parquet"
     log.write(path)
-    main(f"estimate {path} --filter leg".split())
-    assert "whiteness" in capsys.readouterr().out
-    wrong = ["--set", "state.b_g=[0.05, 0, 0]", "--set", "start.b_g=1e-4"]
-    with pytest.raises(SystemExit) as stop:
-        main([*f"estimate {path} --filter leg -o {out}".split(), *wrong])
-    assert stop.value.code == 3
+    wrong = "--set state.b_g=[0.05,0,0] --set start.b_g=1e-4"
+    assert ended(f"estimate {path} --filter leg -o {out} {wrong}") == 3
     assert "leg is not to be trusted: " in capsys.readouterr().err
     assert len(Trajectory.read(out).t) > 100
-    for name in ("other.csv", "other.tum", "other"):
-        with pytest.raises(SystemExit, match=r"give a \.parquet file"):
-            main(f"estimate {path} --filter leg -o {tmp_path / name}".split())
-        assert not (tmp_path / name).exists()
-    main([*f"compare {path} -o {tmp_path / 'all'}".split(), *wrong])
+    assert not ended(f"compare {path} -o {tmp_path / 'all'} {wrong}")
     assert "not to be trusted from" in (tmp_path / "all" / "table.md").read_text()

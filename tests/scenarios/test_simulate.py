@@ -1,6 +1,5 @@
 """`surefoot simulate`: an index of what happened, runs that go on, effects that stay hidden."""
 
-import hashlib
 import json
 import os
 import re
@@ -13,43 +12,26 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from dataset_index import read_index
+from courses import course_file
+from dataset_index import digests, read_index
 from refusals import refusal, refused
 
+from surefoot import Log, Robot, SimulateSettings, simulate
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.datasets.index import Journal
-from surefoot.scenarios.datasets.simulate import simulate
-from surefoot.scenarios.settings import SimulateSettings
 from surefoot.sim.common.files import MANIFEST, command_run
-from surefoot.sim.effects.file import load_effects
-from surefoot.sim.log import Log
-from surefoot.sim.robot import Robot
+from surefoot.sim.effects import effect
+from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.walk import SETTLING_TIME
 
-COURSE = """
-name = "short"
-robot = "spot_class"
-[[segment]]
-duration = 1.5
-forward = 0.5
-[ranges]
-mu = [0.8, 1.2]
-payload = [0.0, 2.0]
-"""
-EFFECTS = """
-[[effect]]
-name = "gyro_scale"
-target = "z"
-value = 0.05
-unit = "ratio"
-"""
+RANGES = "[ranges]\nmu = [0.8, 1.2]\npayload = [0.0, 2.0]\n"
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, cliff) -> Path:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "short.toml").write_text(COURSE)
-    (tmp_path / "effects.toml").write_text(EFFECTS)
+    course_file(tmp_path, 1.5, RANGES)
+    save_effects(tmp_path / "effects.toml", [effect("gyro_scale", "z", 0.05)])
     return tmp_path
 
 
@@ -59,10 +41,6 @@ def short(out: str = "walks", **options) -> None:
 
 def with_hidden_effect(out: str) -> None:
     short(out, effects=Path("effects.toml"), undeclared=True)
-
-
-def digests(folder: Path) -> dict[str, str]:
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.glob("*.parquet")}
 
 
 def test_the_index_says_what_was_drawn_and_what_happened(folder, capsys):
@@ -116,7 +94,6 @@ def test_another_robot_has_logs_of_its_own(folder, capsys):
     for robot in (None, "v60_class"):
         short(robot=robot)
     assert set(read_index(Path("walks")).file) == {"short_0.parquet", "short_v60_class_0.parquet"}
-    assert "no IMU" not in capsys.readouterr().out
 
 
 def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
@@ -129,7 +106,7 @@ def test_a_robot_whose_model_has_no_imu_is_said_to_have_none(folder, capsys):
 
 def test_a_changed_scenario_is_not_mixed_with_its_past(folder):
     short()
-    (folder / "short.toml").write_text(COURSE.replace("0.5", "0.6"))
+    course_file(folder, 1.6, RANGES)
     refused(r"short_0\.parquet: was made from another", short)
     short(force=True)
     assert len(read_index(Path("walks"))) == 1
@@ -155,16 +132,6 @@ def test_a_log_that_a_kill_parted_from_its_row_is_kept(folder):
     assert len(Journal(Path("walks")).rows) == 2
 
 
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:1000])
-
-
-def flipped(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
 def linked(path: Path) -> None:
     path.unlink()
     path.symlink_to("short_1.parquet")
@@ -177,8 +144,6 @@ def piped(path: Path) -> None:
 
 CHANGED = {
     "another walk": lambda path: shutil.copy(path.with_name("short_1.parquet"), path),
-    "cut short": cut,
-    "a byte flipped": flipped,
     "empty": lambda path: path.write_bytes(b""),
     "a link": linked,
     "a pipe": piped,
@@ -189,9 +154,9 @@ WITHOUT = {"journal": "_dataset/journal.jsonl", "manifest": MANIFEST}
 @pytest.fixture(scope="module")
 def two_walks(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("two")
-    (folder / "short.toml").write_text(COURSE)
+    course = course_file(folder, 1.5, RANGES)
     with command_run("simulate"):
-        simulate(SimulateSettings([folder / "short.toml"], folder / "walks", seeds="0:2"))
+        simulate(SimulateSettings([course], folder / "walks", seeds="0:2"))
     return folder
 
 
@@ -226,7 +191,6 @@ def test_a_log_that_was_changed_is_walked_again(how, missing, two_walks, tmp_pat
     "row",
     [
         {"file": "../short.toml"},
-        {"file": ["short_0.parquet"]},
         {"scenario": {"name": "short"}},
         {"falls": "no", "duration": "long"},
         {"sha256": ""},
@@ -243,24 +207,21 @@ def test_a_row_that_none_of_ours_has_is_not_believed(row, two_walks, tmp_path):
     assert list(read_index(tmp_path / "walks").file) == ["short_0.parquet", "short_1.parquet"]
 
 
-@pytest.mark.parametrize("what", ["link", "pipe", "file"])
-def test_a_folder_of_the_index_that_is_none_is_refused_before_the_walk(what, folder):
-    """Through a link, files outside of the output would be written and appended to."""
+def test_a_folder_of_the_index_that_is_a_link_is_refused_before_the_walk(folder):
+    """Files outside of the output would be written and appended to."""
     place = folder / "walks" / "_dataset"
     place.parent.mkdir()
     (folder / "elsewhere").mkdir()
-    if what == "link":
-        place.symlink_to(folder / "elsewhere")
-    elif what == "pipe":
-        os.mkfifo(place)
-    else:
-        place.write_text("mine")
+    place.symlink_to(folder / "elsewhere")
     refused("_dataset", short)
     assert not list((folder / "elsewhere").iterdir())
     assert list((folder / "walks").iterdir()) == [place]
 
 
-@pytest.mark.parametrize("name", ["truth.toml", "short_0.parquet", "_dataset/index.parquet"])
+OUTPUTS = ("truth.toml", "short_0.parquet", "_dataset/index.parquet", "_dataset/journal.jsonl")
+
+
+@pytest.mark.parametrize("name", OUTPUTS)
 def test_a_pipe_in_the_place_of_an_output_is_refused(name, folder):
     pipe = folder / "walks" / name
     pipe.parent.mkdir(parents=True)
@@ -307,14 +268,14 @@ def test_killed_and_started_again_it_ends_with_the_same_bits(folder):
         time.sleep(0.002)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    left = digests(Path("walks"))
+    left = digests("walks")
     assert 2 <= len(left) <= 6
     for name in left:
         Log.read(Path("walks") / name)
     short(seeds="0:6")
     short("straight", seeds="0:6", workers=4)
-    assert digests(Path("walks")) == digests(Path("straight"))
-    assert left.items() <= digests(Path("walks")).items()
+    assert digests("walks") == digests("straight")
+    assert left.items() <= digests("walks").items()
     pd.testing.assert_frame_equal(read_index(Path("walks")), read_index(Path("straight")))
     assert not list(Path("walks").glob(".*.tmp"))
 
@@ -323,29 +284,15 @@ def test_debris_of_a_dead_writer_goes_and_that_of_a_living_one_stays(folder):
     Path("walks").mkdir()
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
-    gone, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
+    dropped, ours = (Path(f"walks/.short_0.parquet.{n}.tmp") for n in (dead.pid, os.getpid()))
     other = Path(f"walks/.theirs.parquet.{dead.pid}.tmp")
     living = Path(f"walks/.short_1.parquet.{os.getppid()}.tmp")
     index = Path(f"walks/_dataset/.index.parquet.{dead.pid}.tmp")
     index.parent.mkdir()
-    for path in (gone, ours, other, living, index):
+    for path in (dropped, ours, other, living, index):
         path.write_text("half")
     short(seeds="0:2")
-    assert not gone.exists()
+    assert not dropped.exists()
     assert not index.exists()
     assert other.exists()
     assert living.exists()
-
-
-def test_names_that_collide_are_refused(folder):
-    (folder / "twin.toml").write_text(COURSE)
-    twins = SimulateSettings([Path("short.toml"), Path("twin.toml")], Path("walks"))
-    refused(r"short_0\.parquet", simulate, twins)
-
-
-def test_a_journal_that_is_a_link_is_refused(tmp_path):
-    """A row would be appended to a file outside of the folder."""
-    journal = Journal(tmp_path / "walks").path
-    journal.parent.mkdir(parents=True)
-    journal.symlink_to(tmp_path / "victim.txt")
-    refused(r"journal\.jsonl: is a link", Journal, tmp_path / "walks")

@@ -6,17 +6,19 @@ from dataclasses import replace
 from importlib import import_module
 
 import pytest
+from courses import course_file
 from own_package import PACKAGES
+from refusals import refused
 
 from studies import observers
+from surefoot import Learnt, Robot, Scenario, simulate, walk
+from surefoot.extend import Ground, Segment
 from surefoot.models.registry import ARCHITECTURES, CALIBRATORS
 from surefoot.models.residuals.channels import BUNDLED_CHANNELS
 from surefoot.scenarios import tune
 from surefoot.scenarios.cache import Product
 from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.index import recipe
-from surefoot.scenarios.datasets.simulate import simulate
-from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.settings import read_tuned
 from surefoot.scenarios.experiments import products
@@ -25,13 +27,8 @@ from surefoot.scenarios.experiments.products import LearntFiles
 from surefoot.scenarios.settings import LoopSettings, SimulateSettings, TuneSettings
 from surefoot.scenarios.trace import loop
 from surefoot.sim.common import sources
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.sources import imported_sources, sources_digest
 from surefoot.sim.effects import CATALOGUE
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 from surefoot.sim.walking.batch import Job, known_robot
 
 WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=0.2)
@@ -39,12 +36,7 @@ WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=
 
 def forget():
     """As another process would find things."""
-    for one in (
-        sources_digest,
-        sources._folders,
-        known_robot,
-        products.tuned.__globals__["read_tuned"],
-    ):
+    for one in (sources_digest, sources._folders, known_robot, read_tuned):
         one.cache_clear()
 
 
@@ -127,23 +119,18 @@ def test_a_walk_depends_on_the_code_of_simulation_and_of_its_effects(boots, monk
 
 def test_hidden_effects_of_other_code_are_refused(boots, tmp_path):
     path = boots[1]
-    (tmp_path / "short.toml").write_text(
-        'robot = "spot_class"\nstand = 0.2\nsegment = [{ duration = 1.0, forward = 0.4 }]\n'
-    )
+    files = [course_file(tmp_path, 1.0)], tmp_path / "walks"
     (tmp_path / "effects.toml").write_text(
         '[[effect]]\nname = "rubber_boots"\ntarget = "all"\nvalue = 0.004\nunit = "m"\n'
     )
 
     def simulated():
-        files = [tmp_path / "short.toml"], tmp_path / "walks"
-        return simulate(
-            SimulateSettings(*files, effects=tmp_path / "effects.toml", undeclared=True)
-        )
+        hidden = tmp_path / "effects.toml"
+        return simulate(SimulateSettings(*files, effects=hidden, undeclared=True))
 
     assert simulated()[0].sha256 == simulated()[0].sha256
     edited(path)
-    with pytest.raises(SurefootError, match="other code of them"):
-        simulated()
+    refused("other code of them", simulated)
 
 
 class Found(Exception):
@@ -182,44 +169,31 @@ def keys(tmp_path, monkeypatch):
     return all_inputs
 
 
-def test_every_product_depends_on_the_code_of_its_effects(keys, boots):
-    effect, path = boots
-    before = keys("spot_class", effect)
-    assert keys("spot_class", effect) == before
-    edited(path)
-    after = keys("spot_class", effect)
+@pytest.mark.parametrize("changed", ["effect", "robot"])
+def test_every_product_depends_on_its_robot_and_the_code_of_its_effects(
+    keys, boots, machine, changed
+):
+    effect, name = boots[0], machine[0]
+    before = keys(name, effect)
+    assert keys(name, effect) == before
+    edited(boots[1] if changed == "effect" else machine[1])
+    after = keys(name, effect)
     assert [kind for kind in before if after[kind] == before[kind]] == []
 
 
-def test_every_product_depends_on_its_robot(keys, boots, machine):
-    name, part = machine
-    before = keys(name, boots[0])
-    edited(part)
-    after = keys(name, boots[0])
-    assert [kind for kind in before if after[kind] == before[kind]] == []
-
-
-@pytest.mark.parametrize("changed", ["mounting", "parameter"])
-def test_estimates_and_recordings_depend_on_what_filters_are_tuned_to(
+@pytest.mark.parametrize("changed", ["mounting", "parameter", "code"])
+def test_estimates_and_recordings_depend_on_filters_and_what_they_are_tuned_to(
     keys, boots, tmp_path, monkeypatch, changed
 ):
     before = keys("spot_class", boots[0])
-    entry = read_tuned()["default"]
-    if changed == "mounting":
-        entry = replace(entry, mounting=0.5)
+    first = ESTIMATORS["leg"]().parameters[0].name
+    tunings = {"mounting": {"mounting": 0.5}, "parameter": {"filters": {"leg": {first: 0.123}}}}
+    if changed == "code":
+        monkeypatch.setattr(products, "estimator_code", lambda name: "other code")
     else:
-        first = ESTIMATORS["leg"]().parameters[0].name
-        entry = replace(entry, filters=entry.filters | {"leg": {first: 0.123}})
-    tune.write_tuned(tmp_path / "tuned.toml", {"default": entry})
-    monkeypatch.setenv("SUREFOOT_TUNED", str(tmp_path / "tuned.toml"))
-    after = keys("spot_class", boots[0])
-    differing = [kind for kind in before if after[kind] != before[kind]]
-    assert differing == ["estimate", "recording"]
-
-
-def test_estimates_and_recordings_depend_on_the_code_of_filters(keys, boots, monkeypatch):
-    before = keys("spot_class", boots[0])
-    monkeypatch.setattr(products, "estimator_code", lambda name: "other code")
+        entry = replace(read_tuned()["default"], **tunings[changed])
+        tune.write_tuned(tmp_path / "tuned.toml", {"default": entry})
+        monkeypatch.setenv("SUREFOOT_TUNED", str(tmp_path / "tuned.toml"))
     after = keys("spot_class", boots[0])
     assert [kind for kind in before if after[kind] != before[kind]] == ["estimate", "recording"]
 
@@ -274,11 +248,10 @@ def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypa
             loop.loop(log, Robot.load(name), LoopSettings(tmp_path / "loop"))
         return json.dumps(found)
 
-    found = [recipe_of(log)]
-    found.append(recipe_of(replace(log, meta=replace(log.meta, model={"ground_evenness": 0.01}))))
-    found.append(recipe_of(replace(log, frame=log.frame.assign(gyro_x=0.0))))
-    edited(part)
-    found.append(recipe_of(log))
-    edited(boots[1])
-    found.append(recipe_of(log))
+    uneven = replace(log.meta, model={"ground_evenness": 0.01})
+    others = replace(log, meta=uneven), replace(log, frame=log.frame.assign(gyro_x=0.0))
+    found = [recipe_of(one) for one in (log, *others)]
+    for path in (part, boots[1]):
+        edited(path)
+        found.append(recipe_of(log))
     assert len(set(found)) == 5

@@ -9,20 +9,19 @@ import pytest
 from driven import driven
 from machines import ARM, GANTRY, machine, moved
 from pendulum import swung as pushed_pendulum
+from refusals import refused
 
 from surefoot.models.attribution.diagnose import logs_under_model
-from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag, plausible_size
+from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.models.residuals.layout import layout_for
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.scenarios.trace.words import summary
-from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects import effect, known_effects
+from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.machine import FixedBase, Modelled, load_machine, machine_for_log
 
 NOISE = {"x": 2.0, "z": 1.0, "shoulder": 0.5, "elbow": 0.3}  # N, N m
@@ -76,20 +75,6 @@ def test_dry_friction_of_a_slide_is_named_though_it_sticks_at_every_turn(tmp_pat
 
 
 @pytest.mark.long
-def test_a_load_on_a_link_is_its_mass_and_where_it_is(tmp_path):
-    arm = machine(ARM, tmp_path)
-
-    def tie(spec):
-        load = spec.joint("elbow").parent.add_geom()
-        load.size, load.mass, load.pos = np.array([0.04, 0, 0]), 2.0, np.array([0.25, 0, 0.05])
-
-    found = trace_logs([moved(arm, NOISE, tie)], arm)
-    sizes = {(e.name, e.target): e.value for e in found.effects}
-    assert {target.split("_")[0] for _, target in sizes} == {"elbow"}, summary(found)
-    assert {name for name, _ in sizes} <= {"link_mass", "link_com", "link_inertia"}
-
-
-@pytest.mark.long
 def test_large_loads_rotors_and_frictions_of_slides_are_within_bounds(tmp_path):
     """A gantry of 26 kg: 12 kg on its ram, and a viscous belt."""
     gantry = machine(GANTRY, tmp_path)
@@ -106,29 +91,11 @@ def test_large_loads_rotors_and_frictions_of_slides_are_within_bounds(tmp_path):
     assert sizes["viscous_friction", "x"] == (pytest.approx(250.0, rel=0.02), "N s/m")
 
 
-def test_sizes_are_plausible_for_the_machine_and_for_legs_as_published(tmp_path):
-    gantry, legs = machine(GANTRY, tmp_path).limbs, QUADRUPED
-    assert gantry.slides == ("x", "z")
-    assert gantry.mass == pytest.approx(26.0)
-    assert gantry.inertia == pytest.approx((26.0, 6.0))
-    assert plausible_size("link_mass", "z", gantry) == pytest.approx(0.4 * 26.0)
-    assert plausible_size("armature", "all", gantry) == pytest.approx(26.0)
-    for name, target in (("link_mass", "FL_calf"), ("armature", "all")):
-        assert plausible_size(name, target, legs) == known_effects()[name].size_prior().within
-    kind = known_effects()["link_mass"]
-    assert kind.bounds_on(legs) == (-0.5, 5.0)
-    assert kind.bounds_on(gantry) == kind.bounds
-    assert known_effects()["armature"].unit_on("all", gantry) == "kg"
-    assert known_effects()["armature"].unit_on("all", legs) == "kg m^2"
-
-
 def test_slides_are_imported_in_units_of_distance_and_force():
-    entries = {"q_x": ("mm", 1e-3), "dq_x": ("mm/s", 1e-3), "tau_x": ("kN", 1e3)}
-    columns: Entries = {name: ColumnEntry(name, unit) for name, (unit, _) in entries.items()}
-    read = read_columns("columns", columns, ())
-    assert {name: one.scale for name, one in read.items()} == {
-        n: f for n, (_, f) in entries.items()
-    }
+    units = {"q_x": "mm", "dq_x": "mm/s", "tau_x": "kN"}
+    columns: Entries = {name: ColumnEntry(name, unit) for name, unit in units.items()}
+    scales = [one.scale for one in read_columns("columns", columns, ()).values()]
+    assert scales == [1e-3, 1e-3, 1e3]
 
 
 PLANAR_ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
@@ -151,7 +118,6 @@ def arm(tmp_path_factory) -> Modelled:
     ("name", "target", "value"),
     [
         ("link_mass", "elbow", 0.1),
-        pytest.param("link_mass", "shoulder", 0.2, marks=pytest.mark.long),
         pytest.param("link_com", "elbow_z", -0.02, marks=pytest.mark.long),
         pytest.param("link_inertia", "elbow", 0.01, marks=pytest.mark.long),
     ],
@@ -179,10 +145,6 @@ def test_a_heavier_pendulum_is_named_and_no_encoder_scale_stands_in_for_it():
     assert [e.name for e in found.effects] == ["link_mass"]
     assert found.effects[0].value == pytest.approx(0.1, rel=0.02)
     assert {name for (name, _), _ in found.rivals} <= {"torque_scale"}
-
-
-def test_an_arm_as_declared_lacks_nothing(arm):
-    assert trace_logs([driven(arm, [])], arm).effects == ()
 
 
 PENDULUM = load_machine("ak80_pendulum")
@@ -213,15 +175,12 @@ def test_what_one_drive_lacks_is_named_with_its_size(made, name, size):
     assert (found.effects[0].name, found.effects[0].target) == (name, "shoulder")
     assert found.effects[0].value == pytest.approx(size, rel=0.1)
     assert found.channels["joint_torque"].after < 0.3 * found.channels["joint_torque"].before
-    said = summary(found)
-    assert "command: not used, the log lacks tau_ff" in said
-    assert "imu_gyro" not in said, "a fixed base has no use for it"
+    assert "imu_gyro" not in summary(found), "a fixed base has no use for it"
 
 
-@pytest.mark.parametrize("seconds", [4.0, _long(12.0)])
-def test_a_drive_as_declared_lacks_nothing(seconds):
+def test_a_drive_as_declared_lacks_nothing():
     """Its noise is that of its readings, rates among them: inertia makes torque of theirs."""
-    found = trace_logs([swung(seconds)], PENDULUM)
+    found = trace_logs([swung(4.0)], PENDULUM)
     assert found.verdict == "no_residual"
     assert found.effects == ()
 
@@ -251,16 +210,6 @@ def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     assert "bounds are 0 and 2e+03" in line
 
 
-@pytest.mark.long
-def test_the_dry_friction_of_a_large_gear_is_named():
-    """Far beyond what drives of legs have."""
-    log = swung()
-    rubbing = log.tau[:, 0] + 15.0 * np.tanh(log.dq[:, 0] / 0.03)
-    found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
-    (one,) = (one for one in found.effects if one.name == "coulomb_friction")
-    assert one.value == pytest.approx(15.0, rel=0.02)
-
-
 def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
     """A cart that carries a pendulum."""
     (tmp_path / "cart.xml").write_text(
@@ -280,11 +229,9 @@ def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
     assert [one["unit"] for one in found.as_dict()["effects"]] == ["N", "N m"]
     assert "coulomb_friction cart +3 N (95 % interval" in summary(found)
     save_effects(tmp_path / "effects.toml", found.effects, limbs=found.limbs)
-    assert 'value = 3.0\nunit = "N"\n' in (tmp_path / "effects.toml").read_text()
     assert load_effects(tmp_path / "effects.toml") == found.effects
     units = {c.name: c.unit for c in layout_for(found.limbs).columns}
-    assert (units["torque_cart"], units["torque_pole"]) == ("N", "N m")
-    assert (units["rate_cart"], units["rate_pole"]) == ("m/s", "rad/s")
+    assert (units["torque_cart"], units["rate_cart"]) == ("N", "m/s")
 
 
 def test_too_short_a_log_is_not_identifiable():
@@ -294,9 +241,8 @@ def test_too_short_a_log_is_not_identifiable():
 
 
 def test_logs_of_one_drive_that_are_short_each_add_up():
-    found = trace_logs(
-        [swung(2.6, name="armature", size=0.02), swung(2.4, name="armature", size=0.02)], PENDULUM
-    )
+    logs = [swung(seconds, name="armature", size=0.02) for seconds in (2.6, 2.4)]
+    found = trace_logs(logs, PENDULUM)
     assert [(e.name, e.target) for e in found.effects] == [("armature", "shoulder")]
     assert found.effects[0].value == pytest.approx(0.02, rel=0.1)
 
@@ -316,5 +262,5 @@ def test_machines_are_told_from_robots_and_joints_are_checked():
     log = swung(1.0)
     assert machine_for_log(log).joint_names == ("shoulder",)
     renamed = log.frame.rename(columns=lambda n: n.replace("shoulder", "elbow"))
-    with pytest.raises(SurefootError, match="joint elbow is not one of ak80_pendulum's: shoulder"):
-        machine_for_log(Log(renamed, log.meta, "x"))
+    other = Log(renamed, log.meta, "x")
+    refused("joint elbow is not one of ak80_pendulum's: shoulder", machine_for_log, other)

@@ -106,13 +106,8 @@ def test_each_verdict_says_what_to_do_next_in_commands_that_are_commands(verdict
     assert all("traced/effects.toml" in c or files.declared for c in uses)
     assert all("traced_model.toml" in c for c in uses if files.declared)
     assert bool(uses) == (verdict in ("attributed", "confounded", "none_of_these"))
-
-
-def test_a_trace_without_held_out_logs_asks_for_one_first(robot):
-    first, *_ = next_steps(result("attributed"), FILES, robot)
-    assert "--holdout" in first.command
-    later = next_steps(result("attributed"), DECLARED, robot)
-    assert all("--holdout" not in step.command for step in later)
+    asks = any("--holdout" in command for command in commands)
+    assert asks == (verdict == "attributed" and not files.holdout)
 
 
 def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
@@ -142,31 +137,19 @@ def test_notes_on_faults_come_first_and_the_others_are_folded():
     assert notes[1] in assumed
     said = summary(found)
     assert all(said.count(note) == 1 for note in notes)
-    folded = {one.heading: one.folded for one in sections(found)}
-    assert not folded["Notes"]
-    assert folded["What is assumed"]
-    assert folded["What these logs cannot show"]
+    folded = {one.heading for one in sections(found) if one.folded}
+    assert folded >= {"What is assumed", "What these logs cannot show"}
+    assert "Notes" not in folded
 
 
-def test_the_page_and_the_screen_say_the_same_in_the_same_order(robot):
+def test_causes_of_the_drift_are_in_units_of_each():
     causes = DriftCauses(np.full(4, 0.02), ((LONG, np.full(4, 0.015)),), np.full(4, 0.005))
     found = result("attributed", causes=causes)
-    found = result("attributed", causes=causes, steps=next_steps(found, FILES, robot))
-    headings = [one.heading for one in sections(found) if not one.folded]
-    assert headings[1:4] == ["What to do next", "Filters before and after", "Causes of the drift"]
-    said = summary(found)
-    order = ("leg_velocity ", "next:", "leg: drift", "most drift", "found link_length")
-    places = [said.index(words) for words in order]
-    assert places == sorted(places)
+    assert "most drift of the leg filter is by link_length FR_calf: " in summary(found)
     rows = table_of(found, "Causes of the drift")
     assert list(rows["height [mm/m]"].astype(float)) == [20.0, 15.0, 5.0]
     assert list(rows["yaw [deg/m]"].astype(float)) == pytest.approx([1.15, 0.86, 0.29])
     assert list(rows["distance [%]"].astype(float)) == [2.0, 1.5, 0.5]
-
-
-def test_a_filter_that_errs_more_with_the_effects_is_marked():
-    rows = table_of(result("attributed"), "Filters before and after").set_index("filter")[""]
-    assert dict(rows) == {"leg": "better", "imu": "worse"}
 
 
 @pytest.mark.parametrize(

@@ -6,36 +6,24 @@ import numpy as np
 import pytest
 from pushes import pushed
 from scipy.spatial.transform import Rotation
+from synthetic import without
+from warming import GyroWarming
 
-from surefoot.estimator.evaluation.trajectory import Trajectory, reference
+from surefoot import Learnt, Robot, Scenario, walk
+from surefoot.extend import (
+    BIN,
+    Ground,
+    Segment,
+    Trajectory,
+    effect,
+    reference,
+)
+from surefoot.models.attribution import forces
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import linearise, log_under_model
-from surefoot.models.attribution.forces import (
-    FEWEST_SLIDES,
-    FootFriction,
-    estimate_friction,
-    outside_forces,
-    pushed_bins,
-    slip_effect,
-    slip_notes,
-)
-from surefoot.models.residuals.binning import BIN
-from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.trace.filters import (
-    before_and_after,
-    causes_of_drift,
-    dead_reckoned,
-    drift,
-    drift_parts,
-)
+from surefoot.scenarios.trace import filters
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
-from surefoot.sim.effects import effect
-from surefoot.sim.effects.base import Effect, Traced, with_columns
-from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.scenario_catalog import scenario_file
-from surefoot.sim.walk import walk
 
 ROBOT = Robot.load("spot_class")
 
@@ -57,62 +45,62 @@ def slipped():
     return walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [lost], declared=False)
 
 
-def friction(log):
-    return estimate_friction([log_under_model(log, ROBOT)], np.random.default_rng(0))
+def friction(log) -> forces.FootFriction:
+    cases = [log_under_model(log, ROBOT)]
+    found = forces.estimate_friction(cases, np.random.default_rng(0))
+    assert found is not None
+    return found
 
 
 def test_feet_that_slide_show_how_much_friction_is_lost(slipped):
     found = friction(slipped)
-    assert found is not None
     assert found.limit == pytest.approx(0.12, rel=0.1)
     assert found.everywhere
-    (one,) = slip_effect(found)
+    (one,) = forces.slip_effect(found)
     assert (one.effect.name, one.effect.value) == ("foot_slip", pytest.approx(0.85, abs=0.02))
     assert one.interval[0] - 0.01 < 0.85 < one.interval[1] + 0.01
 
 
 def test_feet_that_hold_show_only_how_much_friction_there_is_at_least(zigzag):
     found = friction(zigzag)
-    assert found is not None
-    assert (found.limit, slip_effect(found)) == (None, ())
+    assert (found.limit, forces.slip_effect(found)) == (None, ())
     assert 0.05 < found.held < 0.8
-    (note,) = slip_notes(found, True)
+    (note,) = forces.slip_notes(found, True)
     assert f"coefficient of friction of up to {found.held:.2f}" in note
 
 
 def test_slides_in_one_place_are_no_loss_all_over():
-    patched = FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
-    assert slip_effect(patched) == ()
-    (note,) = slip_notes(patched, True)
+    patched = forces.FootFriction(0.12, (0.11, 0.13), slides=12, everywhere=False, held=0.2)
+    assert forces.slip_effect(patched) == ()
+    (note,) = forces.slip_notes(patched, True)
     assert note.endswith("in places; feet that did not slide used a coefficient of up to 0.20")
 
 
 def test_slides_on_two_patches_are_in_places():
     """Nine slides at one coefficient, spread over the walk; elsewhere feet hold with more."""
     found = friction(walk(Scenario.load(scenario_file("demo/walk")), ROBOT, 3))
-    assert found is not None
     assert found.limit is not None
     assert found.limit == pytest.approx(0.1, rel=0.1)
-    assert found.slides >= FEWEST_SLIDES
+    assert found.slides >= forces.FEWEST_SLIDES
     assert found.held > 1.5 * found.limit
     assert not found.everywhere
-    (note,) = slip_notes(found, True)
+    (note,) = forces.slip_notes(found, True)
     assert "in places; feet that did not slide" in note
 
 
 def test_feet_that_hold_with_more_do_not_slide():
     """What elastic legs make of a walk of the Go1's model: feet that seem to slide at nothing."""
-    elastic = FootFriction(0.041, (0.038, 0.044), slides=140, everywhere=True, held=0.136)
-    assert slip_effect(elastic) == ()
-    assert slip_effect(replace(elastic, held=0.045)) != ()
+    elastic = forces.FootFriction(0.041, (0.038, 0.044), slides=140, everywhere=True, held=0.136)
+    assert forces.slip_effect(elastic) == ()
+    assert forces.slip_effect(replace(elastic, held=0.045)) != ()
 
 
 @pytest.mark.parametrize(("held", "scatter"), [(0.3, 0.0), (0.12, 0.5)])
 def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, scatter):
     """As a delay makes them: feet seem to move while they push, at any share of their force."""
-    odd = FootFriction(0.12, (0.11, 0.13), 40, everywhere=True, held=held, scatter=scatter)
-    assert slip_effect(odd) == ()
-    assert "may look like sliding" in slip_notes(odd, True)[0]
+    odd = forces.FootFriction(0.12, (0.11, 0.13), 40, everywhere=True, held=held, scatter=scatter)
+    assert forces.slip_effect(odd) == ()
+    assert "may look like sliding" in forces.slip_notes(odd, True)[0]
 
 
 @pytest.mark.parametrize(
@@ -120,8 +108,8 @@ def test_slides_that_contradict_the_feet_that_stick_are_not_lost_friction(held, 
 )
 def test_another_effect_is_not_taken_for_lost_friction(zigzag, one):
     altered, known = effect(*one).compensate(zigzag, ROBOT)
-    found = estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
-    assert slip_effect(found) == ()
+    found = forces.estimate_friction([log_under_model(altered, known)], np.random.default_rng(0))
+    assert forces.slip_effect(found) == ()
 
 
 @pytest.mark.parametrize(
@@ -137,7 +125,7 @@ def test_feet_that_yield_are_not_taken_for_lost_friction(robot, one):
     robot, fault = Robot.load(robot), effect(*one)
     yields = walk(Scenario("zigzag", ZIGZAG, GROUND), robot, 0, [fault], declared=False)
     case = log_under_model(*fault.compensate(yields, robot))
-    assert slip_effect(estimate_friction([case], np.random.default_rng(0))) == ()
+    assert forces.slip_effect(forces.estimate_friction([case], np.random.default_rng(0))) == ()
 
 
 @pytest.mark.long
@@ -146,34 +134,29 @@ def test_friction_is_that_with_the_effects_found_compensated():
     fast = effect("clock_scale", "joints", 0.002)
     log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, 0, [fast], declared=False)
     seeming, found = friction(log), diagnose([log], ROBOT)
-    assert seeming is not None
     assert found.friction is not None
-    assert seeming.slides >= FEWEST_SLIDES
+    assert seeming.slides >= forces.FEWEST_SLIDES
     assert [(e.name, e.target) for e in found.effects] == [("clock_scale", "joints")]
     assert found.friction.slides == 0
 
 
 def test_without_torques_friction_is_not_identifiable(zigzag):
-    bare = zigzag.frame.drop(columns=[c for c in zigzag.frame if str(c).startswith("tau_")])
-    assert friction(replace(zigzag, frame=bare)) is None
-    assert "without torques" in slip_notes(None, True)[0]
+    cases = [log_under_model(without(zigzag, "tau_"), ROBOT)]
+    assert forces.estimate_friction(cases, np.random.default_rng(0)) is None
+    assert "without torques" in forces.slip_notes(None, True)[0]
 
 
 def test_outside_forces_are_found_where_they_act(zigzag):
     for spans, there in (((), 0), (((4.0, 5.0), (10.0, 11.0)), 2)):
-        case = log_under_model(
-            pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag, ROBOT
-        )
+        log = pushed(zigzag, ROBOT, spans, (0.0, 25.0, -15.0)) if spans else zigzag
+        case = log_under_model(log, ROBOT)
         known = linearise([case], (), ())
-        found = outside_forces([case], known.table, known, BIN)
+        found = forces.outside_forces([case], known.table, known, BIN)
         assert len(found) == there
         for push, (begin, end) in zip(found, spans, strict=True):
             assert push.force == pytest.approx(np.hypot(25.0, 15.0), rel=0.1)
-            assert (push.begin, push.end) == (
-                pytest.approx(begin, abs=0.2),
-                pytest.approx(end, abs=0.2),
-            )
-        near = pushed_bins([case], known, found).sum() * BIN
+            assert [push.begin, push.end] == pytest.approx([begin, end], abs=0.2)
+        near = forces.pushed_bins([case], known, found).sum() * BIN
         assert near == pytest.approx(there * 1.9, abs=0.3)
 
 
@@ -182,14 +165,14 @@ def test_what_comes_with_every_stride_is_no_outside_force(zigzag):
     case = log_under_model(strong, ROBOT)
     known = linearise([case], (), ())
     assert np.nanstd(known.table[:, known.layout.of("base_wrench")[:3]]) > 5.0
-    assert outside_forces([case], known.table, known, BIN) == ()
+    assert forces.outside_forces([case], known.table, known, BIN) == ()
 
 
 def test_dead_reckoning_by_the_legs_is_among_the_filters(zigzag):
     truth = reference(zigzag)
-    right = drift(truth, dead_reckoned(zigzag, ROBOT.feet))
+    right = filters.drift(truth, filters.dead_reckoned(zigzag, ROBOT.feet))
     long_ago = effect("link_length", "thigh", 0.02).compensate(zigzag, ROBOT)[1]
-    assert right < 0.02 < drift(truth, dead_reckoned(zigzag, long_ago.feet))
+    assert right < 0.02 < filters.drift(truth, filters.dead_reckoned(zigzag, long_ago.feet))
 
 
 LONGER = effect("link_length", "FR_calf", 0.006)
@@ -208,10 +191,9 @@ PUSH = (5.0, 6.2)
 
 
 def walked(seed):
-    own = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
-    own += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
-    course = Scenario("zigzag", ZIGZAG, Ground(0.8))
-    log = walk(course, ROBOT, seed, [LONGER, *own], declared=False)
+    per_run = [effect("encoder_offset", "FL_thigh", ZEROS[seed])]
+    per_run += [effect("reference_delay", "all", LATE[seed])] if LATE[seed] else []
+    log = walk(Scenario("zigzag", ZIGZAG, GROUND), ROBOT, seed, [LONGER, *per_run], declared=False)
     return pushed(log, ROBOT, [PUSH], (0.0, 30.0, -15.0)) if seed == 1 else log
 
 
@@ -223,26 +205,11 @@ def found():
 COURSE = (Segment(5.0, 0.5), Segment(5.0, 0.4, turn=0.5), Segment(4.0, 0.5, turn=-0.4))
 
 
-class Drift(Effect):
-    """A gyro that drifts with the time since the log began."""
-
-    name = "drift"
-    unit = "rad/s^2"
-    bounds = (-1.0, 1.0)
-    targets = ("all",)
-    traced = Traced(channels=("imu_gyro",), step=1e-3)
-
-    def compensate(self, log, robot):
-        reading = log.frame["gyro_x"].to_numpy() - self.value * (log.t - log.t[0])
-        return with_columns(log, {"gyro_x": reading}), robot
-
-
 def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
-    robot = Robot.load("spot_class")
-    drifted = log.frame["gyro_x"].to_numpy() + 0.01 * (log.t - log.t[0])
-    drifting = with_columns(replace(log), {"gyro_x": drifted})
-    found = before_and_after(drifting, robot, [Drift("all", 0.01)], Learnt(), 5.0, log.t[-1])
-    right = before_and_after(log, robot, [], Learnt(), 5.0, log.t[-1])
+    warms = GyroWarming("x", 0.1)
+    drifting, _ = GyroWarming("x", -0.1).compensate(log, ROBOT)
+    found = filters.before_and_after(drifting, ROBOT, [warms], Learnt(), 5.0, log.t[-1])
+    right = filters.before_and_after(log, ROBOT, [], Learnt(), 5.0, log.t[-1])
     assert [one.filter for one in found] == [one.filter for one in right]
     for one, other in zip(found, right, strict=True):
         assert one.metrics[1].ape_rot == pytest.approx(other.metrics[0].ape_rot, rel=1e-6)
@@ -251,30 +218,33 @@ def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
     assert np.isfinite(imu.metrics[1].ape_trans)
 
 
+T = np.linspace(0.0, 10.0, 1001)
+
+
+def ahead(x, climb=0.0, turn=0.0):
+    """A trajectory through x [m] that climbs [m/s] and turns [rad/s]."""
+    R_GI = Rotation.from_euler("z", (turn * T)[:, None]).as_matrix()
+    zeros = np.zeros((len(T), 3))
+    return Trajectory(T, R_GI, zeros, np.column_stack([x, 0 * T, climb * T]), zeros, zeros)
+
+
 def test_who_sways_on_the_spot_has_no_drift_by_the_metre():
-    t = np.linspace(0.0, 10.0, 1001)
-    still = np.broadcast_to(np.eye(3), (len(t), 3, 3))
-
-    def path(x):
-        p_GI = np.column_stack([x, np.zeros((len(t), 2))])
-        return Trajectory(t=t, R_GI=still, v_GI=0 * p_GI, p_GI=p_GI, b_a=0 * p_GI, b_g=0 * p_GI)
-
-    away = 0.1 * t
-    assert drift(path(0.5 * t), path(0.5 * t + away)) == pytest.approx(0.2)
-    swaying = path(0.01 * np.sin(t)), path(0.01 * np.sin(t) + away)
-    assert np.isnan(drift(*swaying))
-    assert np.isnan(drift_parts(*swaying)).all()
+    away = 0.1 * T
+    assert filters.drift(ahead(0.5 * T), ahead(0.5 * T + away)) == pytest.approx(0.2)
+    swaying = ahead(0.01 * np.sin(T)), ahead(0.01 * np.sin(T) + away)
+    assert np.isnan(filters.drift(*swaying))
+    assert np.isnan(filters.drift_parts(*swaying)).all()
 
 
 def test_each_cause_of_drift_is_charged_with_what_it_causes(log, robot):
     """A gyro that reads turns 2 % too large turns the estimate; a short shank sinks it."""
-    turns, sinks = effect("gyro_scale", "z", 0.02), effect("link_length", "FR_calf", 0.006)
-    course = Scenario("seen", COURSE, Ground(0.8))
-    built = walk(course, robot, 4, effects=[turns, sinks], declared=False)
+    turns = effect("gyro_scale", "z", 0.02)
+    course = Scenario("seen", COURSE, GROUND)
+    built = walk(course, robot, 4, effects=[turns, LONGER], declared=False)
     (case,), (exact,) = (logs_under_model([one], robot, ()) for one in (built, log))
-    causes = causes_of_drift([case], [turns, sinks])
+    causes = filters.causes_of_drift([case], [turns, LONGER])
     assert causes is not None
-    added = {one.name: drift for one, drift in causes.added}
+    added = {one.name: part for one, part in causes.added}
     height, yaw = (np.array([abs(x[k]) for x in added.values()]) for k in (1, 2))
     assert list(added)[int(height.argmax())] == "link_length"
     assert list(added)[int(yaw.argmax())] == "gyro_scale"
@@ -284,36 +254,21 @@ def test_each_cause_of_drift_is_charged_with_what_it_causes(log, robot):
     more = (causes.declared - causes.left)[1:]
     assert np.sum(list(added.values()), axis=0)[1:] == pytest.approx(more, rel=0.1, abs=1e-4)
     assert causes.added[0][1][0] > causes.added[1][1][0] > 0.0
-    none = causes_of_drift([exact], [effect("gyro_scale", "z", 0.0)])
+    none = filters.causes_of_drift([exact], [effect("gyro_scale", "z", 0.0)])
     assert none is not None
     assert np.abs(causes.left - none.declared).max() < 0.2 * np.abs(causes.declared).max()
 
 
 def test_a_drift_has_a_height_a_yaw_and_a_distance():
-    t = np.linspace(0.0, 10.0, 1001)
-    zeros = np.zeros((len(t), 3))
-
-    def ahead(scale, climb, turn):
-        R_GI = Rotation.from_euler("z", (turn * t)[:, None]).as_matrix()
-        p_GI = np.column_stack([scale * t, 0 * t, climb * t])
-        return Trajectory(t=t, R_GI=R_GI, v_GI=zeros, p_GI=p_GI, b_a=zeros, b_g=zeros)
-
-    found = drift_parts(ahead(1.0, 0.0, 0.0), ahead(1.02, 0.003, 0.01))
+    found = filters.drift_parts(ahead(T), ahead(1.02 * T, 0.003, 0.01))
     assert found[1:] == pytest.approx([0.003, 0.01, 0.02], rel=1e-3)
     assert found[0] > np.hypot(0.02, 0.003)  # beside what the turn adds
 
 
 def test_where_the_leg_filter_does_not_run_no_cause_is_named(log, robot):
-    bare = replace(log, frame=log.frame[[c for c in log.frame if not str(c).startswith("contact")]])
-    cases = logs_under_model([bare], robot, ())
-    assert causes_of_drift(cases, [effect("gyro_scale", "z", 0.02)]) is None
-    assert causes_of_drift(cases, []) is None
-
-
-"""rad of FL's thigh, and s of the reference's clock, of each walk."""
-
-
-"""s of the second walk."""
+    cases = logs_under_model([without(log, "contact")], robot, ())
+    assert filters.causes_of_drift(cases, [effect("gyro_scale", "z", 0.02)]) is None
+    assert filters.causes_of_drift(cases, []) is None
 
 
 def of_run(run, name):
@@ -330,15 +285,15 @@ def test_the_size_that_both_walks_share_is_found(found):
 
 @pytest.mark.slow
 def test_each_walk_has_a_zero_and_a_clock_of_its_own(found):
-    for run, zero, late in zip(found.runs, ZEROS, LATE, strict=False):
+    for run, zero, lag in zip(found.runs, ZEROS, LATE, strict=False):
         assert of_run(run, "encoder_offset")["FL_thigh"] == pytest.approx(zero, abs=0.004)
-        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(late, abs=0.002)
+        assert of_run(run, "reference_delay").get("all", 0.0) == pytest.approx(lag, abs=0.002)
 
 
 @pytest.mark.slow
 def test_the_push_is_told_from_what_the_robot_lacks(found):
-    (told,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
-    assert "of run 2" in told
+    (note,) = [one for one in (*found.reasons, *found.notes) if "outside forces" in one]
+    assert "of run 2" in note
 
 
 @pytest.mark.slow
