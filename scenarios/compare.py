@@ -15,8 +15,8 @@ from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_lengt
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import (
     EmpiricalCoverage,
+    bounded_errors,
     coverage,
-    relative_errors,
 )
 from surefoot.models.observer.predict import Prediction, predict
 from surefoot.scenarios.datasets.index import walk_facts
@@ -145,7 +145,7 @@ def compare_log(
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
-            held[name] = coverage(relative_errors(observer, bounds, known, model)[1], bounds)
+            held[name] = coverage(bounded_errors(observer, bounds, known, model)[1], bounds)
             if words := _not_held(held[name], bounds.gamma):
                 missed.setdefault(words, []).append(name)
     notes = (*notes, *(f"bounds: {words} ({', '.join(names)})" for words, names in missed.items()))

@@ -13,9 +13,9 @@ from surefoot.models.calibration.calibrate import region_of, samples_for
 from surefoot.models.calibration.empirical_coverage import (
     CaseCoverage,
     binomial_interval,
+    bounded_errors,
     coverage,
     coverage_by,
-    relative_errors,
     worst_case,
 )
 from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region, calibrator
@@ -171,7 +171,7 @@ def _shown(walks: pd.DataFrame) -> pd.DataFrame:
 class CalibratedWalk:
     """One log under one calibration.
 
-    errors (M, 3) at `rows` of the log, as from `relative_errors`, empty without a reference;
+    errors (M, 3) at `rows` of the log, as from `bounded_errors`, empty without a reference;
     squared (M',) normalised squared innovations.
     """
 
@@ -191,7 +191,7 @@ def evaluate_walk(
     known, robot = declared_model(log, named)
     rows, errors = np.zeros(0, dtype=int), np.zeros((0, 3))
     if log.has("reference"):
-        rows, errors = relative_errors(observer, bounds, known, robot)
+        rows, errors = bounded_errors(observer, bounds, known, robot)
     name = "coverage_gml" if bounds.scaled else "coverage"
     trajectory = run_filter(name, log, named, Learnt((observer,), (bounds,))).trajectory
     found = innovations(known, trajectory)

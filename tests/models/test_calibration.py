@@ -22,9 +22,9 @@ from surefoot.models.calibration.calibrate import (
 from surefoot.models.calibration.empirical_coverage import (
     SLIPPERY,
     binomial_interval,
+    bounded_errors,
     coverage,
     coverage_by,
-    relative_errors,
     stride_phase,
     walking_conditions,
     worst_case,
@@ -181,7 +181,7 @@ def test_bounds_of_a_gml_observer_follow_what_it_predicts(gml_observer, walks):
     std = np.sqrt(np.einsum("mii->mi", covariance))
     assert epsilon == pytest.approx(bounds.epsilon * std)
     inside = (np.abs(errors) <= epsilon).all(axis=1)
-    at, relative = relative_errors(gml_observer, bounds, log, Body())
+    at, relative = bounded_errors(gml_observer, bounds, log, Body())
     assert np.array_equal(at, rows)
     assert coverage(relative, bounds).joint == inside.mean()
     # In another frame: the same errors and statements, and a box around the same box.
