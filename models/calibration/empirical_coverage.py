@@ -102,7 +102,7 @@ class EmpiricalCoverage:
     n: int
 
 
-def relative_errors(
+def bounded_errors(
     observer: Observer, bounds: Bounds, log: Log, robot: Mounted | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows (M,) of a log with a measured reference, and the observer's errors (M, 3) there, along
@@ -116,7 +116,7 @@ def relative_errors(
 
 
 def coverage(errors: np.ndarray, bounds: Bounds) -> EmpiricalCoverage:
-    """Share of errors (M, 3), at 100 Hz, as from `relative_errors`, within their bounds.
+    """Share of errors (M, 3), at 100 Hz, as from `bounded_errors`, within their bounds.
 
     Successive errors are not independent: the interval assumes M / K independent ones, with the K
     of the bounds' calibration. Raises BoundsError where there is none.
@@ -150,7 +150,7 @@ def coverage_by(
 ) -> list[CaseCoverage]:
     """Coverage by terrain, slip, motion and gait phase, where the log has the columns.
 
-    errors (M, 3) at `rows` (M,) of the log, as from `relative_errors`. Returns a CaseCoverage for
+    errors (M, 3) at `rows` (M,) of the log, as from `bounded_errors`. Returns a CaseCoverage for
     each case that occurs.
     """
     inside = np.all(np.abs(errors) <= bounds.epsilon, axis=1)
