@@ -1,6 +1,7 @@
 """Effects: what they put into the simulation is what they say, and files of them are checked."""
 
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -204,7 +205,7 @@ def log() -> Log:
 def still(rows: int, **readings) -> Streams:
     """Readings of a robot that rests, but for some."""
     widths = {"gyro": 3, "accel": 3, "q": 12, "dq": 12, "tau": 12, "tau_ff": 12, "force": 4}
-    zeros = {name: np.zeros((rows, width)) for name, width in widths.items()}
+    zeros: dict[str, Any] = {name: np.zeros((rows, width)) for name, width in widths.items()}
     return Streams(0.002 * np.arange(rows), **zeros | readings)
 
 

@@ -326,9 +326,9 @@ def test_what_an_imu_samples_folds_back_and_what_it_averages_does_not():
 def test_care_stops_a_robot_and_never_turns_it_back():
     """Pushed backwards over ice, and none of it where a single foot slides."""
     gait = gait_for(SPOT, 0.0, options=GaitOptions(slip_care=1.0))
-    motion, up, phase = np.zeros((3, 4, 3)), np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, 0.5)
+    rest, up, phase = np.zeros((4, 3)), np.tile([0.0, 0.0, 1.0], (4, 1)), np.full(4, 0.5)
     number, J = np.zeros(4, np.int64), np.zeros((4, 3, 3))
-    feet = FootStates(*motion, J, up, np.full(4, STANCE), phase, number)
+    feet = FootStates(rest, rest, rest, J, up, np.full(4, STANCE), phase, number)
     base = BaseMotion(np.zeros(3), np.eye(3), np.array([-1.0, 0.0, 0.0]), np.zeros(3))
     for sliding, wanted in (([1.0] * 4, 0.0), ([3.0, 0.0, 0.0, 0.0], 0.5)):
         controller = Controller(gait, plan(COURSE, SPOT, 0).world.height_map, standing())

@@ -117,8 +117,8 @@ def test_a_bag_is_read_once_for_names_and_readings(tmp_path, monkeypatch):
     assert len(seen) == len(set(seen)) == 3
     assert {found.topic(one) for one in found.cells} == {*found.stamps} == topics
     again = read_bag(path, [*found.cells])
-    for name, values in (again.cells | again.stamps).items():
-        np.testing.assert_array_equal(values, (found.cells | found.stamps)[name])
+    for name, values in {**again.cells, **again.stamps}.items():
+        np.testing.assert_array_equal(values, {**found.cells, **found.stamps}[name])
 
 
 def frames(make: Maker):
