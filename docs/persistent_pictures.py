@@ -74,7 +74,7 @@ def means_figure(errors: list[np.ndarray], part: BiasModel) -> Figure:
 
 
 def errors_figure(demo: Path) -> Figure:
-    """Distance between estimate and truth on the demo's walk, and each filter's 3 sigma."""
+    """Error of the height on the demo's walk, and each filter's 3 sigma about zero."""
     log = surefoot.Log.read(demo / "logs" / "walk.parquet")
     robot = surefoot.Robot.for_log(log)
     learnt = learnt_from([demo / "observer_mse.safetensors"], [demo / "bounds_mse.json"])
@@ -83,12 +83,13 @@ def errors_figure(demo: Path) -> Figure:
     for name in FILTERS:
         estimate = surefoot.run_filter(name, log, robot, learnt).trajectory
         series = error_series(reference(log), estimate, 20.0)
-        assert series.distance_sigma is not None
-        ax.plot(series.t, series.distance, color=estimator_color(name), label=name)
-        sigma = 3.0 * series.distance_sigma
-        ax.plot(series.t, sigma, "--", color=estimator_color(name), label=f"{name}, 3σ")
+        assert series.position_sigma is not None
+        color, sigma = estimator_color(name), 3.0 * series.position_sigma[:, 2]
+        ax.plot(series.t, series.position[:, 2], color=color, label=name)
+        ax.plot(series.t, sigma, "--", color=color, label=f"{name}, 3σ")
+        ax.plot(series.t, -sigma, "--", color=color)
     ax.set_xlabel("time [s]")
-    ax.set_ylabel("position error [m]")
+    ax.set_ylabel("height error [m]")
     legend_below(figure, ax)
     return figure
 
