@@ -1,8 +1,9 @@
 """Many walks of one robot, drawn at random to train observers on, and the error of observers by
 their number.
 
-Each walk has another course and another robot of its kind: built within tolerances, and half of
-them with the gait, sensors and effects measured on a real robot (the conditions of the suites).
+Each walk has another course and another robot of its kind, by one of the conditions of the suites:
+a third equal their model, a third are built within tolerances, and a third have in addition the
+gait, sensors and effects measured on a real robot.
 """
 
 from collections.abc import Sequence
@@ -127,8 +128,8 @@ def _resized(one: Effect, factor: float) -> Effect:
 
 @cache
 def _conditions() -> tuple[Condition, ...]:
-    """Those of the suites in which robots differ from their model."""
-    return tuple(one for one in load_conditions(SUITE) if one.imperfections)
+    """Those of the suites."""
+    return load_conditions(SUITE)
 
 
 def write_error_by_walks(
