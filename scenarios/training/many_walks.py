@@ -2,8 +2,8 @@
 their number.
 
 Each walk has another course and another robot of its kind, by one of the conditions of the suites:
-a third equal their model, a third are built within tolerances, and a third have in addition the
-gait, sensors and effects measured on a real robot.
+a sixth equal their model, a third are built within tolerances, and half of them have in addition
+the gait, sensors and effects measured on a real robot.
 """
 
 from collections.abc import Sequence
@@ -43,6 +43,8 @@ SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
 SUITE = BUNDLED.with_name("spot.toml")
 """The experiment whose conditions the robots are drawn by."""
+SHARES = (1 / 6, 1 / 3, 1 / 2)
+"""Share of the walks under each of these conditions."""
 ROLES = ("train", "held_out", "test", "calibrate")
 """Roles of walks; those of different roles are drawn independently."""
 HELD_OUT = 4, 1 / 6
@@ -114,8 +116,7 @@ def drawn_walk(
         scenario = scenarios[number % len(scenarios)]
     else:
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
-    conditions = _conditions()
-    condition = conditions[rng.integers(len(conditions))]
+    condition = _conditions()[rng.choice(len(SHARES), p=SHARES)]
     drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
     effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
     return replace(drawn, effects=effects)
