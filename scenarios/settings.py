@@ -145,8 +145,8 @@ class SimulateSettings(OutputSettings):
 class WalksSettings(RobotSettings):
     """Walks to train on, for `scenarios.training.many_walks.many_walks`.
 
-    Each is of another robot of the kind: built within tolerances, and half of them with the gait,
-    sensors and effects measured on a real robot.
+    Each is of another robot of the kind. A sixth equal their model, a third are built within
+    tolerances, and half have in addition the gait, sensors and effects measured on a real robot.
     """
 
     walks: int = 0

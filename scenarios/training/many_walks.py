@@ -1,8 +1,9 @@
 """Many walks of one robot, drawn at random to train observers on, and the error of observers by
 their number.
 
-Each walk has another course and another robot of its kind: built within tolerances, and half of
-them with the gait, sensors and effects measured on a real robot (the conditions of the suites).
+Each walk has another course and another robot of its kind, by one of the conditions of the suites:
+a sixth equal their model, a third are built within tolerances, and half of them have in addition
+the gait, sensors and effects measured on a real robot.
 """
 
 from collections.abc import Sequence
@@ -42,6 +43,8 @@ SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
 SUITE = BUNDLED.with_name("spot.toml")
 """The experiment whose conditions the robots are drawn by."""
+SHARES = (1 / 6, 1 / 3, 1 / 2)
+"""Share of the walks under each of these conditions."""
 ROLES = ("train", "held_out", "test", "calibrate")
 """Roles of walks; those of different roles are drawn independently."""
 HELD_OUT = 4, 1 / 6
@@ -113,8 +116,7 @@ def drawn_walk(
         scenario = scenarios[number % len(scenarios)]
     else:
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
-    conditions = _conditions()
-    condition = conditions[rng.integers(len(conditions))]
+    condition = _conditions()[rng.choice(len(SHARES), p=SHARES)]
     drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
     effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
     return replace(drawn, effects=effects)
@@ -127,8 +129,8 @@ def _resized(one: Effect, factor: float) -> Effect:
 
 @cache
 def _conditions() -> tuple[Condition, ...]:
-    """Those of the suites in which robots differ from their model."""
-    return tuple(one for one in load_conditions(SUITE) if one.imperfections)
+    """Those of the suites."""
+    return load_conditions(SUITE)
 
 
 def write_error_by_walks(

@@ -42,8 +42,10 @@ def test_walks_have_both_gaits_and_all_grounds():
     assert min(one.forward for one in segments) < -0.2
     assert max(abs(one.lateral) for one in segments) > 0.2
     assert any(one.turn and not one.forward for one in segments)
-    # Robots differ: each is built with errors of its own.
-    assert len({one.effects[0].value for one in drawn}) == len(drawn)
+    # Some robots equal their model; each other one is built with errors of its own.
+    built = [one for one in drawn if one.effects]
+    assert 20 < len(built) < 36
+    assert len({one.effects[0].value for one in built}) == len(built)
 
 
 def test_a_course_lasts_as_long_as_asked():
