@@ -64,7 +64,7 @@ def calibrate(
     unseen = unseen_errors(observer, [logs] if isinstance(logs, Log) else logs, robot)
     errors = unseen.relative
     together, name = np.concatenate(errors), ", ".join(unseen.names)
-    require_samples(how, len(together), settings.K or 1, name)
+    require_samples(how, len(together), 1 if settings.K is None else settings.K, name)
     curve = None
     if settings.K is None:
         walk = np.repeat(np.arange(len(errors)), [len(part) for part in errors])

@@ -147,6 +147,12 @@ def test_a_short_log_is_refused(mse_observer):
         calibrate(mse_observer, synthetic_walk(8, 0.1), robot=Body())
 
 
+@pytest.mark.parametrize("K", [0, -5])
+def test_errors_are_at_least_a_step_apart(mse_observer, walks, K):
+    with pytest.raises(BoundsError, match=f"K = {K}: must be 1 at least"):
+        calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=K), Body())
+
+
 def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
     bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
     path = tmp_path / "bounds.json"
