@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import bounded_errors, coverage
+from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import judged_prediction, prediction_errors
 from surefoot.models.observer.settings import TrainSettings
@@ -177,7 +177,7 @@ def _learnt_row(log: Log, observer: Observer, bounds: Bounds) -> dict[str, objec
     """An observer's errors on a walk, and how its bounds hold there."""
     _, errors, covariance = judged_prediction(observer, log)
     rms = np.sqrt((errors**2).mean(axis=0))
-    held = coverage(bounded_errors(observer, bounds, log)[1], bounds)
+    held = coverage(bounds.relative(errors, observer.R_BI, covariance), bounds)
     epsilon = np.broadcast_to(bounds.epsilon_at(observer.R_BI, covariance), errors.shape)
     row: dict[str, object] = {"loss": observer.loss}
     for i, axis in enumerate("xyz"):

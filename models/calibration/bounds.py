@@ -76,6 +76,8 @@ class Bounds:
             raise ValueError("K and n must be whole and positive")
         if self.confidence is not None and not 0 < self.confidence < 1:
             raise ValueError("confidence must lie between 0 and 1")
+        if not isinstance(self.scaled, bool):
+            raise ValueError("scaled is neither true nor false")
         if not isinstance(self.observer, str):
             raise ValueError("observer is not a hash")
 

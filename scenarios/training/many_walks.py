@@ -43,7 +43,7 @@ SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
 SUITE = BUNDLED.with_name("spot.toml")
 """The experiment whose conditions the robots are drawn by."""
-SHARES = (1 / 6, 1 / 3, 1 / 2)
+SHARES = {"as drawn": 1 / 6, "as built": 1 / 3, "as walked": 1 / 2}
 """Share of the walks under each of these conditions."""
 ROLES = ("train", "held_out", "test", "calibrate")
 """Roles of walks; those of different roles are drawn independently."""
@@ -116,7 +116,7 @@ def drawn_walk(
         scenario = scenarios[number % len(scenarios)]
     else:
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
-    condition = _conditions()[rng.choice(len(SHARES), p=SHARES)]
+    condition = _conditions()[rng.choice(list(SHARES), p=list(SHARES.values()))]
     drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
     effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
     return replace(drawn, effects=effects)
@@ -128,9 +128,9 @@ def _resized(one: Effect, factor: float) -> Effect:
 
 
 @cache
-def _conditions() -> tuple[Condition, ...]:
-    """Those of the suites."""
-    return load_conditions(SUITE)
+def _conditions() -> dict[str, Condition]:
+    """Those of the suites, by name."""
+    return {one.name: one for one in load_conditions(SUITE)}
 
 
 def write_error_by_walks(

@@ -7,8 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from courses import course_file
+from scipy.spatial.transform import Rotation
 
+from surefoot import FilterSettings, Scenario, walk
 from surefoot.scenarios.experiments.file import Experiment, cells_of
+from surefoot.scenarios.experiments.products import drawn_start
 from surefoot.scenarios.experiments.report import experiment, falls
 from surefoot.scenarios.experiments.run import CellResult, Outcome
 from surefoot.scenarios.experiments.tables import (
@@ -18,6 +21,8 @@ from surefoot.scenarios.experiments.tables import (
 )
 from surefoot.scenarios.settings import GridSettings
 from surefoot.scenarios.training import many_walks
+from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.scenario import Segment
 
 # pyright: reportArgumentType=false, reportGeneralTypeIssues=false
 
@@ -211,3 +216,18 @@ def test_what_a_fall_leaves_out_is_said():
     assert falls(outcome, "as drawn") == ""
     assert outcome.left_out["coverage"] == "as walked: the walk to calibrate with fell"
     assert outcome.left_out["radar_leg"] == "no radar"  # learns nothing
+
+
+def test_starts_are_off_by_what_the_filters_declare(robot):
+    log = walk(Scenario("start", (Segment(0.5, 0.0),), Ground(0.8)), robot, 0)
+    state, covariance = FilterSettings().beginning(log, robot.feet)
+    std = np.sqrt(covariance.diagonal())
+    rng, off = np.random.default_rng(0), []
+    for _ in range(300):
+        start, same = drawn_start(log, robot, rng).beginning(log, robot.feet)
+        assert np.sqrt(same.diagonal()) == pytest.approx(std, rel=0.05)
+        assert np.array_equal(start.b_g, state.b_g)
+        turned = Rotation.from_matrix(start.R_GI @ state.R_GI.T).as_rotvec()
+        off.append([*turned, *(start.v_GI - state.v_GI), *(start.b_a - state.b_a)])
+    wanted = std[[0, 1, 2, 3, 4, 5, 9, 10, 11]]
+    assert np.std(off, axis=0) == pytest.approx(wanted, rel=0.2)

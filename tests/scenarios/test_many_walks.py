@@ -48,6 +48,25 @@ def test_walks_have_both_gaits_and_all_grounds():
     assert len({one.effects[0].value for one in built}) == len(built)
 
 
+def test_robots_are_slow_on_steps_alone():
+    """The way along the lane, turned about at each end, and the speed wherever steps are."""
+    fast = []
+    for seed in range(30):
+        course = drawn_course("course", 60.0, np.random.default_rng(seed))
+        steps = [(s.start[0], s.end[0]) for s in course.ground.strips if s.steps]
+        x, ahead = 0.0, 1.0
+        for one in course.segments if course.ground.strips else ():
+            if abs(one.turn * one.duration) > 3.0:
+                ahead = -ahead
+            begin, x = x, x + ahead * one.forward * one.duration
+            low, high = sorted((begin, x))
+            if any(low < finish and start < high for start, finish in steps):
+                assert one.forward <= 0.6
+            else:
+                fast.append(one.forward)
+    assert max(fast) > 1.0
+
+
 def test_a_course_lasts_as_long_as_asked():
     assert sum(kind[0] for kind in COMMANDS.values()) == pytest.approx(1.0)
     for seed in range(6):
