@@ -132,7 +132,7 @@ class Suite(GridSettings):
 
     Conditions: as drawn (each robot equals its model), as built (with errors drawn within
     tolerances, unknown to the filters), as walked (in addition with the gait, sensors and effects
-    measured on a real robot).
+    measured on a real robot), shifted (as built, unlike what observers and bounds learn from).
     """
 
     name: Annotated[Positional[str], arg(metavar=f"{{{','.join(SUITES)}}}")]

@@ -11,8 +11,9 @@ from surefoot.sim.common.errors import errors_in
 from surefoot.sim.common.toml import FileName, read_toml, typed
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
+from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
+from surefoot.sim.scenario import Ranges, Scenario
 from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walking.batch import known_robot
 
@@ -29,8 +30,12 @@ class Condition:
         imperfections: drawn for each seed, which represents one robot.
         sensors: (name, value) of fields of `sim.sensors.streams.Sensors` that replace the
             scenario's.
+        gait: (name, value) of fields of `sim.gait.options.GaitOptions`, likewise.
+        ranges: (name, value) of fields of `sim.scenario.Ranges`, likewise.
         walked: gait, sensors and effects measured on a robot's walk, scaled to each robot
             (`sim.effects.carry`).
+        learns: name of the condition whose walks observers and bounds are learnt from instead of
+            its own, so that it is a shift between training and test.
     """
 
     name: str
@@ -39,7 +44,10 @@ class Condition:
     declared: bool = False
     imperfections: tuple[Imperfection, ...] = ()
     sensors: tuple[tuple[str, float], ...] = ()
+    gait: tuple[tuple[str, float | str], ...] = ()
+    ranges: tuple[tuple[str, float | tuple[float, float]], ...] = ()
     walked: AsWalked | None = field(default=None, hash=False)
+    learns: str | None = None
 
     def effects_of(self, seed: int, robot: Robot) -> tuple[Effect, ...]:
         """Effects of robot number `seed` of its kind: given, drawn and measured."""
@@ -49,10 +57,11 @@ class Condition:
 
     def walk(self, scenario: Scenario, robot: str, seed: int) -> DrawnWalk:
         """The walk of robot number `seed` of its kind on a scenario, under this condition."""
-        sensors = replace(scenario.sensors, **dict(self.sensors))
-        scenario = replace(scenario, sensors=sensors)
         if self.walked:
             scenario = self.walked.scenario(scenario)
+        parts = {"sensors": self.sensors, "gait": self.gait, "ranges": self.ranges}
+        changed = {name: replace(getattr(scenario, name), **dict(x)) for name, x in parts.items()}
+        scenario = replace(scenario, **changed)
         known = known_robot(robot)
         # A seed for each sequence, so that noise and ground differ between walks of one robot.
         own = crc32(f"{scenario.name}/{seed}".encode())
@@ -72,19 +81,35 @@ class ConditionTable:
     declared: bool = False
     imperfections: str | None = None
     sensors: dict[str, float] = field(default_factory=dict)
+    gait: dict[str, float | str] = field(default_factory=dict)
+    ranges: dict[str, float | tuple[float, float]] = field(default_factory=dict)
     walked: str | None = None
+    learns: str | None = None
 
     def __post_init__(self):
-        with errors_in("sensors"):
-            typed(self.sensors, Sensors)
+        for name, kind in {"sensors": Sensors, "gait": GaitOptions, "ranges": Ranges}.items():
+            with errors_in(name):
+                typed(getattr(self, name), kind)
 
     def condition(self, folder: Path) -> Condition:
         """Load the files that it names, relative to the experiment's folder."""
         effects = load_effects(folder / self.effects) if self.effects else ()
         drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
         walked = load_as_walked(folder / self.walked) if self.walked else None
-        sensors = tuple(self.sensors.items())
-        return Condition(self.name, self.words, effects, self.declared, drawn, sensors, walked)
+        sensors, gait = tuple(self.sensors.items()), tuple(self.gait.items())
+        ranges = tuple(self.ranges.items())
+        return Condition(
+            self.name,
+            self.words,
+            effects,
+            self.declared,
+            drawn,
+            sensors,
+            gait,
+            ranges,
+            walked,
+            self.learns,
+        )
 
 
 def load_conditions(path: Path) -> tuple[Condition, ...]:

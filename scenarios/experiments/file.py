@@ -171,7 +171,7 @@ class Experiment(Grid):
 
 
 Group = tuple[str, str, int]
-"""Robot, condition and seed; the cells of a group share observers and bounds."""
+"""Robot, condition to learn from, and seed; the cells of a group share observers and bounds."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class Cell:
     @property
     def group(self) -> Group:
         """Group of cells with the same observers and bounds."""
-        return self.robot, self.condition.name, self.seed
+        return self.robot, self.condition.learns or self.condition.name, self.seed
 
     @property
     def walk(self) -> DrawnWalk:
@@ -196,7 +196,7 @@ class Cell:
     @property
     def learnt_from(self) -> bool:
         """Whether observers are trained, or bounds calibrated, on this walk."""
-        return self.scenario.role in ("train", "calibrate")
+        return self.scenario.role in ("train", "calibrate") and not self.condition.learns
 
     def title(self, experiment: Experiment) -> str:
         """The sequence's name, with robot and condition where the experiment has several."""
@@ -270,6 +270,11 @@ def _check(found: Experiment) -> None:
     walks *= len(found.seeds) * len(found.conditions)
     check_limit("walks", walks * len(found.gammas), "walks times gammas")
     _each_once("names of conditions", [c.name for c in found.conditions])
+    own = [one.name for one in found.conditions if not one.learns]
+    for one in found.conditions:
+        if one.learns:
+            with errors_in(f"[[condition]] {one.name}: learns"):
+                check_known("condition", one.learns, own)
     with errors_in("[[further]]"):
         ways = [tuple(getattr(one, name) for name in LEARNT_BY) for one in found.learnings]
         _each_once(f"{', '.join(LEARNT_BY)} of it and of [observer]", ways)

@@ -7,6 +7,7 @@
 
 import pandas as pd
 
+from surefoot.scenarios.compare import LOST_FROM
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
 from surefoot.scenarios.experiments.file import Experiment
@@ -57,13 +58,18 @@ def suite_findings(rows: pd.DataFrame, experiment: Experiment) -> str:
 
 
 def _proposed(parts: dict[str, pd.DataFrame], means: dict[str, pd.Series], ours: str) -> str:
-    found = []
+    found, refused = [], []
     for condition, part in parts.items():
         by = part.groupby(["sequence", "filter"], sort=False)[ERROR].mean().unstack()
         first = (by.idxmin(axis=1) == ours).sum()
         error = means[condition].get(ours, float("nan"))
         found.append(f"{error:.3f} m ({condition}; lowest on {first} of {len(by)} sequences)")
-    return f"`{ours}`, the proposed filter, has {', '.join(found)}."
+        mine = part[part["filter"] == ours]
+        refused.append(f"{mine[LOST_FROM].notna().sum()} of {len(mine)} ({condition})")
+    return (
+        f"`{ours}`, the proposed filter, has {', '.join(found)}. By its own record it is not to be "
+        f"trusted on {', '.join(refused)} walks."
+    )
 
 
 def _consistency(parts: dict[str, pd.DataFrame]) -> str:

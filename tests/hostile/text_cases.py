@@ -279,6 +279,8 @@ EXPERIMENT = [
     ("effects of the system", '"effects.toml"', '"/etc/passwd"', "TOML"),
     ("two conditions of one name", '[[condition]]\n', '[[condition]]\nname = "plain"\n[[condition]]\n', "names of conditions must be"),
     ("a sensor's unknown key", 'name = "plain"', 'name = "plain"\nsensors = { smell = 1 }', "[[condition]] 1 sensors: unknown key 'smell'"),
+    ("a gait's unknown key", 'name = "plain"', 'name = "plain"\ngait = { smell = 1 }', "[[condition]] 1 gait: unknown key 'smell'"),
+    ("a condition that learns from none", 'name = "plain"', 'name = "plain"\nlearns = "plain"', "[[condition]] plain: learns"),
     ("an unknown method", "[observer]", "[[further]]\nmethod = 'none'\n[observer]", "unknown method 'none'"),
     ("roles of nobody", "[observer]", "[roles]\nnobody = 'train'\n[observer]", "nobody"),
     ("a role of no kind", "[observer]", "[roles]\nshort = 'referee'\n[observer]", "roles"),

@@ -20,7 +20,7 @@ from surefoot.scenarios.experiments.tables import (
     shown_first,
 )
 from surefoot.scenarios.settings import GridSettings
-from surefoot.scenarios.training import many_walks
+from surefoot.scenarios.training import drawn_course, many_walks
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Segment
 
@@ -181,8 +181,19 @@ def test_the_suites_are_two_such_files(name, learnt):
     roles = {s.name: s.role for s in suite.scenarios}
     assert {n: role for n, role in roles.items() if role != "test"} == learnt
     assert len(suite.seeds) >= 3
-    assert len(set(cells_of(suite))) == len(roles) * len(suite.seeds) * 3
+    assert len(set(cells_of(suite))) == len(roles) * len(suite.seeds) * len(suite.conditions)
     assert set(published(name)[0]["sequence"]) == set(roles)
+
+
+def test_a_shift_is_learnt_from_another_condition():
+    suite = Experiment.load("spot").with_seeds((0,))
+    shifted = [cell for cell in cells_of(suite) if cell.condition.name == "shifted"]
+    assert {cell.group for cell in shifted} == {("spot_class", "as built", 0)}
+    assert not any(cell.learnt_from for cell in shifted)
+    scenario, built = shifted[0].walk.scenario, shifted[0].scenario
+    assert scenario.gait.duty == 0.75 != built.gait.duty
+    assert scenario.ranges.payload[0] > drawn_course.RANGES.payload[1]
+    assert scenario.ranges.clearance == built.ranges.clearance  # what is not given stays
 
 
 def test_the_papers_averages_are_given_as_printed_and_from_its_rows():
