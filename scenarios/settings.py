@@ -118,6 +118,26 @@ class CompareSettings(FilterFiles, ChosenFilters):
 
 
 @dataclass(frozen=True)
+class ScoreSettings(RobotSettings, OutputSettings):
+    """Estimates to evaluate against a log's reference, for `scenarios.score.score`."""
+
+    estimates: tuple[Path, ...]
+    """Estimates: trajectories of `estimate` (.parquet), TUM text, or tables with columns t, p_x,
+    q_w, ..., if known with covariances.
+    """
+    log: Path
+    """Log with the reference."""
+    out: Path
+    """Folder for table.csv, table.md, report.html and figures."""
+    frame: Literal["imu", "base"] = "imu"
+    """Frame whose poses the estimates are: the IMU's, or the robot's base."""
+    offset: float = 0.0
+    """Added to the stamps of the estimates to put them on the log's clock [s]."""
+    figures: Literal["png", "pdf", "svg"] = "png"
+    """Kind of the files of the figures; the report has them as PNG."""
+
+
+@dataclass(frozen=True)
 class SimulateSettings(OutputSettings):
     """Walks to simulate, for `scenarios.datasets.simulate.simulate`."""
 

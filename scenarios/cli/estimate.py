@@ -20,6 +20,7 @@ from surefoot.scenarios.settings import (
     CompareSettings,
     EstimateSettings,
     OutputSettings,
+    ScoreSettings,
     WalksSettings,
 )
 from surefoot.sim.common.errors import SurefootError
@@ -311,4 +312,23 @@ class Compare(CompareSettings, options.TableOption):
                 print(f"{comparison.log.name}: {words}")
         if any(comparison.doubts for comparison in found):
             print("surefoot estimate LOG --filter NAME tries what would mend a filter")
+        print(f"\nreport: {self.out / 'report.html'}")
+
+
+@options.command
+class Score(ScoreSettings, options.TableOption):
+    """Evaluate anyone's estimates of a log: errors, consistency and coverage, on one page."""
+
+    log: Annotated[Path, arg(metavar="LOG")]
+    """Log with the reference."""
+
+    def run(self) -> None:
+        from surefoot.scenarios.reporting.tables import in_terminal
+        from surefoot.scenarios.score import score
+
+        found = score(self)
+        if self.json:
+            options.print_json(found.to_dict(orient="records"))
+            return
+        print(in_terminal(found, self.wide))
         print(f"\nreport: {self.out / 'report.html'}")

@@ -29,6 +29,7 @@ COMMANDS: dict[str, type] = {
     "calibrate": estimate.Calibrate,
     "estimate": estimate.Estimate,
     "compare": estimate.Compare,
+    "score": estimate.Score,
     "noise": estimate.NoiseCommand,
     "experiment": study.ExperimentCommand,
     "suite": study.Suite,

@@ -33,6 +33,11 @@ LOST_FROM = "not to be trusted from [s]"
 WIDTH = 100
 """Largest width of a table on a terminal, in characters."""
 LEAST_NEEDED = (
+    "shared [s]",
+    "APE_SE(3) [m]",
+    "att in 95 % [%]",
+    "vel in 95 % [%]",
+    "RMSE_vel [m/s]",
     "RPE_rot [deg/m]",
     "NEES_vel",
     "pi<gamma [%]",

@@ -99,6 +99,8 @@ OPTIONS = [
     ("two scenarios of one name", "simulate scenario.toml sub/../scenario.toml -o new", "short_0.parquet"),
     ("an estimate of another format", "estimate walk.parquet --filter imu -o new.csv", ".parquet"),
     ("an unknown parameter", "estimate walk.parquet --filter imu --set filters.imu.gravity=1.0", "unknown parameter 'gravity'"),
+    ("a text that is no estimate", "score mine.tum --log walk.parquet -o new", "mine.tum"),
+    ("a log that is no estimate", "score walk.parquet --log walk.parquet -o new", "is not a trajectory"),
     ("two files of one name", "estimate walk.parquet --filter leg -o new.tum", "new.tum"),
     ("a filter without its observer", "estimate walk.parquet --filter coverage", "needs observer"),
     ("nothing to hide", "simulate scenario.toml --undeclared -o new", "needs effects"),

@@ -12,10 +12,12 @@ from courses import course_file
 from forked import Outcome, copied, run_forked
 from synthetic import resting, synthetic_walk
 
+from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.observer.observer import Observer
 from surefoot.scenarios.cli.main import COMMANDS
 from surefoot.scenarios.cli.runs import OUTPUTS_OF_ONE_RUN
 from surefoot.sim.common import files
+from surefoot.sim.log import Log
 
 FEW = "--gamma 0.5"
 """A level for which few independent errors are enough: how many a walk has differs by machine."""
@@ -28,6 +30,7 @@ WRITING = {
     "calibrate's report": f"calibrate own.safetensors long.parquet {FEW} -o b.json --report new",
     "estimate": "estimate walk.parquet --filter leg -o new.parquet",
     "compare": f"compare walk.parquet {LEARNT} -o new",
+    "score": "score walk.tum --log walk.parquet -o new",
     "noise": "noise rest.parquet -o new.toml",
     "experiment": "experiment experiment.toml -o new",
     "suite": "suite spot -o new",
@@ -65,6 +68,7 @@ def more(good, tmp_path_factory) -> Path:
     observer = Observer.load(folder / "observer.safetensors")
     replace(observer, robot="spot_class").save(folder / "own.safetensors")
     resting(12.0).write(folder / "rest.parquet")
+    reference(Log.read(folder / "walk.parquet")).write_tum(folder / "walk.tum")
     return folder
 
 

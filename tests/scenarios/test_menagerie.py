@@ -66,6 +66,7 @@ calibrate mse.safetensors walks/yard_{{name}}_1.parquet -o mse.json --report jud
 calibrate gml.safetensors walks/yard_{{name}}_1.parquet -o gml.json
 compare walks/yard_{{name}}_2.parquet {LEARNT} -o compared
 estimate walks/yard_{{name}}_2.parquet --filter leg -o leg.parquet
+score leg.parquet leg.tum --log walks/yard_{{name}}_2.parquet -o scored
 noise walks/yard_{{name}}_2.parquet -o noise.toml
 export walks/yard_{{name}}_2.parquet -o walk.mcap
 export leg.parquet -o leg.csv
