@@ -19,6 +19,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.robot import Robot
 
 PARTS = {"p": "position", "v": "velocity", "q": "attitude"}
+UPPER = [(i, j) for i in range(3) for j in range(i, 3)]
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +56,7 @@ def table(estimate: Trajectory, parts: str = "", velocity: bool = True) -> pd.Da
         J["q"] = np.broadcast_to(np.eye(3, 9), J["p"].shape)
     for part in parts:
         C = J[part] @ S @ J[part].swapaxes(1, 2)
-        names = [(i, j) for i in range(3) for j in range(i, 3)]
-        columns |= {f"cov_{part}_{'xyz'[i]}{'xyz'[j]}": C[:, i, j] for i, j in names}
+        columns |= {f"cov_{part}_{'xyz'[i]}{'xyz'[j]}": C[:, i, j] for i, j in UPPER}
     return pd.DataFrame(columns)
 
 
@@ -127,7 +127,7 @@ def test_the_share_inside_is_the_level_where_the_claim_is_right(log, tmp_path):
     )
     columns = table(off)
     for part in PARTS:
-        for i, j in ((i, j) for i in range(3) for j in range(i, 3)):
+        for i, j in UPPER:
             columns[f"cov_{part}_{'xyz'[i]}{'xyz'[j]}"] = std[i] ** 2 * (i == j)
     columns.to_csv(tmp_path / "right.csv", index=False)
     found = scored(read_estimate(tmp_path / "right.csv"), log, "right")
