@@ -16,9 +16,9 @@ from surefoot.scenarios.compare import MEANINGS, command_line, error_summary, wi
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.other_estimates import (
     OtherEstimate,
+    beside_reference,
     of_imu,
     read_estimate,
-    with_reference,
 )
 from surefoot.scenarios.estimate.run import robot_of
 from surefoot.scenarios.reporting.figures import (
@@ -105,7 +105,7 @@ def scored(estimate: OtherEstimate, log: Log, name: str) -> Scored:
 
     Raises SurefootError, beginning with the name, where they share no time.
     """
-    truth, known = with_reference(estimate.trajectory, log, name)
+    truth, known = beside_reference(estimate.trajectory, log, name)
     metrics, errors = evaluate(truth, known), error_series(truth, known, 20.0)
     truth, known = matched(truth, known)
     squared = nees(truth, align_first(truth, known))

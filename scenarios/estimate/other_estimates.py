@@ -153,7 +153,7 @@ def of_imu(estimate: Trajectory, log: Log, robot: Robot) -> Trajectory:
     )
 
 
-def with_reference(estimate: Trajectory, log: Log, name: str) -> tuple[Trajectory, Trajectory]:
+def beside_reference(estimate: Trajectory, log: Log, name: str) -> tuple[Trajectory, Trajectory]:
     """The log's reference interpolated to the estimate's stamps, and the estimate, at those that
     are not in a gap of the reference.
 
