@@ -10,7 +10,8 @@ nearest one with which it does not fall. Observers are trained and calibrated on
 and every filter estimates the measured log with that world's model and observers. Where the robot
 falls with any style, and without PyTorch, there are no observers: filters that need none are run.
 Sizes that the trace found are drawn from their intervals for each walk
-(`scenarios.trace.training_walks`).
+(`scenarios.trace.training_walks`). At last, the observer of the last world is tuned on half of the
+measured log, and judged on the other half.
 """
 
 import json
@@ -33,7 +34,12 @@ from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
-from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
+from surefoot.scenarios.trace.observer_errors import (
+    ErrorParts,
+    Tuned,
+    error_parts,
+    tuned_on_measured,
+)
 from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
@@ -108,7 +114,7 @@ def loop(
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
         _write(out / RECIPE, recipe)
-        steps = "trace/trace.json", "gait.json", "style.json", "measured.json"
+        steps = "trace/trace.json", "gait.json", "style.json", "tuned.json"
         stale = *steps, *(f"{world}/done" for world in WORLDS)
         for name in stale:
             (out / name).unlink(missing_ok=True)
@@ -155,17 +161,20 @@ def loop(
     assert last.robot is not None
     compensated, corrected = last.log, last.robot
 
-    def errors_if_trained_on_it() -> list[float] | str:
+    def tune() -> dict[str, Any] | str:
+        learnt = worlds[-1].learnt
         how = replace(plan.training, inputs=inputs_of(compensated), seed=seed)
         try:
-            return learnt_from_measured(compensated, corrected, how)
+            found = learnt.observers[0], learnt.bounds[0]
+            return asdict(tuned_on_measured(*found, compensated, corrected, how))
         except ObserverError as error:
             return str(error)
 
-    trained_on_measured = "PyTorch is not installed"
-    if trains:
-        trained_on_measured = _kept(out / "measured.json", errors_if_trained_on_it)
-    table = write_loop(log, robot, worlds, settings, choice, trained_on_measured)
+    tuned: Tuned | str = "there is none"
+    if worlds[-1].learnt.observers:
+        kept = _kept(out / "tuned.json", tune)
+        tuned = kept if isinstance(kept, str) else Tuned(**kept)
+    table = write_loop(log, robot, worlds, settings, choice, tuned)
     return table, tuple(worlds)
 
 

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
     ErrorParts,
+    Tuned,
     excess,
     parts_table,
     recalibrated,
@@ -78,7 +79,7 @@ def write_loop(
     worlds: Sequence[LoopWorld],
     settings: LoopSettings,
     gait: GaitChoice,
-    trained_on_measured: list[float] | str,
+    tuned: Tuned | str,
 ) -> pd.DataFrame:
     """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
     errors of every filter.
@@ -89,8 +90,8 @@ def write_loop(
         worlds: `before` first.
         settings: where to.
         gait: of the last world's walks, and the reason for it.
-        trained_on_measured: RMS errors (3,) [m/s] of observers trained on the measured walk itself,
-            or why there are none.
+        tuned: errors of the last world's observer, tuned on the measured walk, or why there are
+            none.
     """
     out = settings.out
     table = pd.DataFrame(_rows(worlds))
@@ -98,7 +99,7 @@ def write_loop(
     summary = {
         "trace": found,
         "gait": gait.words,
-        "trained_on_measured": trained_on_measured,
+        "tuned_on_measured": tuned if isinstance(tuned, str) else asdict(tuned),
         "worlds": {world.name: _summary(world) for world in worlds},
     }
     write_whole(out / "loop.json", json.dumps(summary, indent=2) + "\n", force=True)
@@ -106,12 +107,13 @@ def write_loop(
     last = worlds[-1].comparison
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
     write_recording(out / "loop.rrd", walk, force=True)
+    findings = loop_findings(found, table, [world.name for world in worlds])
     sections = [
-        Section("Findings", loop_findings(found, table, [w.name for w in worlds]), overview(table)),
+        Section("Findings", f"{findings} {observer_gain(worlds, tuned)}".strip(), overview(table)),
         *_pictures(log, worlds, drawn),
         Section("Method", _method(worlds)),
         Section("Errors of every filter", "", table, file="table"),
-        *_of_observers(worlds, trained_on_measured),
+        *_of_observers(worlds, tuned),
         Section("Gait", gait.words, gait.rows or None, file="gait" if gait.rows else ""),
         *_of_trace(found),
     ]
@@ -121,9 +123,7 @@ def write_loop(
     return table
 
 
-def _of_observers(
-    worlds: Sequence[LoopWorld], trained_on_measured: list[float] | str
-) -> list[Section]:
+def _of_observers(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> list[Section]:
     """Sections on the observers' errors, in simulation and on the measured walk, and on the
     coverage of their bounds.
     """
@@ -142,14 +142,16 @@ def _of_observers(
             row["simulated [m/s]"] = _three(world.simulated["moving"])
             row["measured [m/s]"] = _three(world.measured["moving"])
             rows.append(row | _bounds_row(world))
-    if isinstance(trained_on_measured, str):
-        words += f"\n\nNo observer was trained on the measured walk: {trained_on_measured}."
+    if isinstance(tuned, str):
+        words += f"\n\nNo observer was tuned on the measured walk: {tuned}."
     else:
-        measured_only = {"measured [m/s]": _three(trained_on_measured)}
-        rows.append({"walks": "the other half of the measured walk"} | measured_only)
+        row = {"walks": f"{worlds[-1].name}, tuned", "measured [m/s]": _three(tuned.rmse)}
+        if tuned.epsilon is not None and tuned.held is not None:
+            row |= _recalibrated(tuned.epsilon, tuned.held)
+        rows.append(row)
         words += (
-            "\n\nThe last row is an observer trained on one half of the measured walk and "
-            "evaluated on the other: about the best that a walk as short as this allows."
+            "\n\nTuned: the last observer, trained further on half of the measured walk and judged "
+            "on the other, with bounds from the first half of that; both halves in turn."
         )
     observers = Section("Observers", words, pd.DataFrame(rows), file="observers")
     if last is None:
@@ -177,7 +179,11 @@ def _bounds_row(world: LoopWorld) -> dict[str, Any]:
         epsilon, held = recalibrated(observer, bounds, log, robot)
     except BoundsError:
         return row
-    return row | {"recalibrated [m/s]": _three(epsilon), "then hold [%]": round(100 * held, 1)}
+    return row | _recalibrated(epsilon, held)
+
+
+def _recalibrated(epsilon: Sequence[float] | np.ndarray, held: float) -> dict[str, Any]:
+    return {"recalibrated [m/s]": _three(epsilon), "then hold [%]": round(100 * held, 1)}
 
 
 def _three(values: Sequence[float] | np.ndarray) -> str:
@@ -272,6 +278,19 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
         of = [f"{share:.1f} % {world}" for share, world in zip(shares, worlds, strict=True)]
         rest.append(f"The bounds of `{name}` contain {', '.join(of)} of the measured errors.")
     return f"{main}\n\n{' '.join(rest)}"
+
+
+def observer_gain(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> str:
+    """One sentence: the mse observer's error on the measured walk after each step; empty without
+    observers.
+    """
+    errors = {one.name: one.measured["moving"] for one in worlds if one.measured is not None}
+    if not isinstance(tuned, str):
+        errors["tuned on the walk's other half"] = tuned.rmse
+    if not errors:
+        return ""
+    steps = [f"{np.linalg.norm(axes):.3f} m/s {name}" for name, axes in errors.items()]
+    return f"The observer's velocity error on the measured walk is {', '.join(steps)}."
 
 
 def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:

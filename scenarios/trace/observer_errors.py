@@ -4,12 +4,16 @@ ones.
 The loop reports the parts on a measured walk and in simulation.
 """
 
+from contextlib import suppress
+from dataclasses import dataclass
+
 import numpy as np
 import pandas as pd
 
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.empirical_coverage import QUARTERS, bounded_errors, stride_phase
+from surefoot.models.calibration.regions import BoundsError
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
 from surefoot.models.observer.predict import prediction_errors
@@ -131,23 +135,52 @@ def recalibrated(
     return new.epsilon, float(inside.all(axis=1).mean())
 
 
-def learnt_from_measured(log: Log, robot: Robot, settings: TrainSettings) -> list[float]:
-    """Cross-validated RMS errors (3,) [m/s] of observers trained on the measured walk itself.
+@dataclass(frozen=True)
+class Tuned:
+    """Observers tuned on each half of a measured walk, judged on the other.
 
-    One observer is trained on each half of the log and evaluated on the other, while the robot
-    moves: about the accuracy attainable from this amount of real walking. Raises ObserverError
-    where half of the log is too short.
+    Attributes:
+        rmse: root mean square errors on the other half while the robot moves (3,) [m/s].
+        epsilon: half widths of bounds from a quarter that is not tuned on, mean of both (3,) [m/s];
+            None where a quarter is too short for them.
+        held: share of the last quarter's errors within them, jointly, mean of both; likewise.
+    """
+
+    rmse: list[float]
+    epsilon: list[float] | None
+    held: float | None
+
+
+def tuned_on_measured(
+    observer: Observer, bounds: Bounds, log: Log, robot: Robot, settings: TrainSettings
+) -> Tuned:
+    """Tune an observer on each half of a measured walk and evaluate it on the other.
+
+    Raises ObserverError where half of the log is too short.
+
+    Args:
+        observer: to be tuned, from simulated walks.
+        bounds: whose method, level and spacing K the new ones have.
+        log: the measured walk.
+        robot: the model of its robot.
+        settings: of the training.
     """
     from surefoot.models.observer.training import train
 
     half = len(log.t) // 2
     halves = log.rows(slice(0, half)), log.rows(slice(half, None))
-    found = []
-    for training, validation in (halves, halves[::-1]):
-        observer = train(training, robot, settings)
-        rows, errors = prediction_errors(observer, validation, robot)
-        found.append(errors[moving(validation)[rows]])
-    return root_mean_square(np.concatenate(found))
+    moved, judged = [], []
+    for seen, unseen in (halves, halves[::-1]):
+        tuned = train(seen, robot, settings, start=observer)
+        rows, errors = prediction_errors(tuned, unseen, robot)
+        moved.append(errors[moving(unseen)[rows]])
+        with suppress(BoundsError):
+            judged.append(recalibrated(tuned, bounds, unseen, robot))
+    rmse = root_mean_square(np.concatenate(moved))
+    if len(judged) < len(halves):
+        return Tuned(rmse, None, None)
+    epsilons, held = zip(*judged, strict=True)
+    return Tuned(rmse, np.mean(epsilons, axis=0).tolist(), float(np.mean(held)))
 
 
 def root_mean_square(errors: np.ndarray) -> list[float]:

@@ -7,16 +7,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from refusals import refused
-from synthetic import without
+from synthetic import synthetic_walk, without
 
-from surefoot import Robot, Scenario, TrainSettings, train
+from surefoot import Robot, Scenario, TrainSettings, calibrate, train
 from surefoot.extend import Ground, Segment, declared_model, effect, prediction_errors
 from surefoot.scenarios.datasets import kept_walks
 from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import realism
 from surefoot.scenarios.trace.loop import RECIPE, inputs_of, loop
-from surefoot.scenarios.trace.observer_errors import ERROR_PARTS, excess, split_errors
+from surefoot.scenarios.trace.observer_errors import (
+    ERROR_PARTS,
+    excess,
+    root_mean_square,
+    split_errors,
+    tuned_on_measured,
+)
 from surefoot.scenarios.trace.realism import choose_gait
 from surefoot.scenarios.trace.training_walks import (
     NEAREST,
@@ -260,3 +266,20 @@ def test_the_loop_recovers_most_of_what_knowing_the_effect_would_gain(
     if name == "link_length":
         assert gain > 0.3 * rmse["before"]
         assert rmse["before"] - rmse["after"] >= 0.8 * gain
+
+
+def test_an_observer_tuned_on_half_a_walk_is_judged_on_the_other():
+    how = TrainSettings(inputs="q,dq", model="mlp", steps=150)
+    robot = Robot.load("spot_class")
+    observer = train(synthetic_walk(0, 48.0, robot="spot_class"), robot, how)
+    bounds = calibrate(observer, synthetic_walk(1, 48.0, robot="spot_class"))
+    measured = synthetic_walk(2, 48.0, robot="spot_class")
+    frame = measured.frame.copy()
+    frame[[name for name in frame if name.startswith("dq_")]] *= 0.8  # joints report too little
+    measured = replace(measured, frame=frame)
+    found = tuned_on_measured(observer, bounds, measured, robot, how)
+    errors = prediction_errors(observer, measured, robot)[1]
+    assert np.linalg.norm(found.rmse) < 0.8 * np.linalg.norm(root_mean_square(errors))
+    untuned = np.all(np.abs(errors) <= bounds.epsilon, axis=1).mean()
+    assert found.held is not None
+    assert untuned < 0.5 < found.held
