@@ -50,11 +50,15 @@ def by_sequence(
     rows = pd.DataFrame(rows[rows[column].notna()])
     conditions, names = list(rows["condition"].unique()), list(rows["sequence"].unique())
     filters = list(rows["filter"].unique())
-    size = (5.2 * len(conditions) + 1.0, 0.42 * len(names) + 1.9)
-    figure, axes = new_figure(1, len(conditions), size=size, title=title)
+    columns = len(conditions) if len(conditions) <= 3 else 2
+    lines = -(-len(conditions) // columns)
+    size = (5.2 * columns + 1.0, lines * (0.42 * len(names) + 1.0) + 0.9)
+    figure, axes = new_figure(lines, columns, size=size, title=title)
+    for ax in axes.flat[len(conditions) :]:
+        ax.set_visible(False)
     half = 0.32 if len(filters) > 1 else 0.0
     offsets = dict(zip(filters, np.linspace(-half, half, len(filters)), strict=True))
-    for ax, condition in zip(axes[0], conditions, strict=True):
+    for ax, condition in zip(axes.flat, conditions, strict=False):
         part = rows[rows["condition"] == condition]
         if band:
             ax.axvspan(*band, color="#E6E6E6", zorder=0)
@@ -77,7 +81,7 @@ def by_sequence(
         ax.set_xlabel(column)
         set_title(ax, f"{condition}", 9.5)
         label_roles(ax, rows, names)
-    legend_below(figure, axes[0, 0], columns=3 * len(conditions))
+    legend_below(figure, axes[0, 0], columns=3 * columns)
     return figure
 
 
