@@ -125,7 +125,7 @@ def portrait(robot: Robot) -> Figure:
     figure, sides = new_figure(1, 2, (9.0, 4.2))
     for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
         for geom in np.flatnonzero(model.geom_bodyid > 0):
-            outline = in_base(outline_G(model, data, int(geom)))[:, [across, 2]]
+            outline = in_base(outline_G(data, int(geom)))[:, [across, 2]]
             hull = outline[ConvexHull(outline, qhull_options="QJ").vertices]
             axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
         for leg, chain in enumerate(robot.limbs.chains):
