@@ -246,11 +246,8 @@ def share_of_load(spec: mujoco.MjSpec, joint: str) -> float:
 
 def set_share_of_load(spec: mujoco.MjSpec, joint: str, share: float) -> None:
     """Let a joint's gear lose a share of its motor's torque."""
-    known = spec.numeric(_name(joint))
-    if known:
-        known.data = [share]
-    elif share:
-        spec.add_numeric(name=_name(joint), data=[share])
+    known = spec.numeric(_name(joint)) or spec.add_numeric(name=_name(joint))
+    known.data = [share]
 
 
 def gears_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Gears:

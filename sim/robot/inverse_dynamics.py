@@ -267,30 +267,28 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         step: of the differences [rad, rad/s, rad/s^2].
         out: (3, J, N, nv), filled: by angle, rate and acceleration.
     """
-    qpos, qvel, qacc = memory.qpos, memory.qvel, memory.qacc
-    here, there = np.empty(len(qvel)), np.empty(len(qvel))
+    # In order of increasing recomputation.
+    varied = (
+        (memory.qacc, dof_adr, A, out[2]),
+        (memory.qvel, dof_adr, V, out[1]),
+        (memory.qpos, qpos_adr, Q, out[0]),
+    )
+    here, there = np.empty(len(memory.qvel)), np.empty(len(memory.qvel))
     for k in range(len(Q)):
         _take_motion(memory, Q[k], V[k], A[k])
         _fill_forces(memory, here)
-        # In order of increasing recomputation.
-        for j in range(len(dof_adr)):
-            qacc[dof_adr[j]] += step
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[2, j, k])
-            copy_row(A[k], qacc)
-        for j in range(len(dof_adr)):
-            qvel[dof_adr[j]] += step
-            _take_velocities(memory)
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[1, j, k])
-            copy_row(V[k], qvel)
-        for j in range(len(dof_adr)):
-            qpos[qpos_adr[j]] += step
-            _take_positions(memory)
-            _take_velocities(memory)
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[0, j, k])
-            copy_row(Q[k], qpos)
+        for kind in range(3):
+            state, places, motion, slopes = varied[kind]
+            for j in range(len(places)):
+                state[places[j]] += step
+                if kind == 2:
+                    _take_positions(memory)
+                if kind >= 1:
+                    _take_velocities(memory)
+                _fill_forces(memory, there)
+                for i in range(len(there)):
+                    slopes[j, k, i] = (there[i] - here[i]) / step
+                copy_row(motion[k], state)
 
 
 @kernel(nogil=True)
@@ -340,13 +338,6 @@ def _dot(a, b):
 @kernel(nogil=True)
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@kernel(nogil=True)
-def _difference(there, here, step, out):
-    """(there - here) / step, all (nv,), into out."""
-    for i in range(len(out)):
-        out[i] = (there[i] - here[i]) / step
 
 
 @kernel(nogil=True)
