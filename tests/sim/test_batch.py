@@ -36,8 +36,8 @@ def test_a_batch_gives_the_bits_of_walks_alone():
         Job(ROUGH, "spot_class", 1),
     ]
     logs = {}
-    for walked in on_threads(jobs, walk_job, threads=3):
-        logs[walked.job.scenario.name, walked.job.robot, walked.job.seed] = walked.log
+    for log in on_threads(jobs, walk_job, threads=3):
+        logs[log.meta.scenario, log.meta.robot, log.meta.seed] = log
     assert len(logs) == len(jobs)
     for job in jobs:
         alone = walk(job.scenario, Robot.load(job.robot), job.seed)
