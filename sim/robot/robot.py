@@ -199,7 +199,8 @@ class Robot:
     @property
     def dynamics(self) -> Dynamics:
         """As of `Machine`: of its file, with the declared geometry and links."""
-        return dynamics_of(self.file, self.joint_names, _body_changes(self))
+        changes = BodyChanges((self.drawn, self.legs), self.extras.links)
+        return dynamics_of(self.file, self.joint_names, changes)
 
     @property
     def legged(self) -> "Robot":
@@ -270,21 +271,6 @@ class Robot:
         if q.ndim != 2 or q.shape[1] != len(self.limbs.joints):
             raise ValueError(f"q must be (N, {len(self.limbs.joints)}), is {q.shape}")
         return feet(self.legs, q, self.R_BI, self.p_BI)[:2]
-
-
-def _body_changes(robot: Robot) -> BodyChanges:
-    """Deviation of a robot's declared model from its file."""
-    here, there, links = robot.legs, robot.drawn, robot.extras.links
-    if np.array_equal(here.offset, there.offset) and np.array_equal(here.rotation, there.rotation):
-        return BodyChanges(links=links)
-    joints = len(robot.limbs.joints)
-    drawn, placed = np.zeros((2, joints, 3))
-    turn = np.tile(np.eye(3), (joints, 1, 1))
-    for leg, chain in enumerate(robot.limbs.chains):
-        for j, joint in enumerate(chain):
-            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
-            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
-    return BodyChanges(drawn, placed, turn, links)
 
 
 def _imu_site(model: mujoco.MjModel, base: int) -> int:
