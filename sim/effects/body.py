@@ -47,21 +47,18 @@ class LinkLength(Effect):
             names = [robot.joint_names[joint] for joint in robot.limbs.chains[leg]]
             upper_G = data.xanchor[model.joint(names[link]).id]
             if link + 1 < len(names):
-                moved = spec.joint(names[link + 1]).parent
-                along_G = data.xanchor[model.joint(names[link + 1]).id] - upper_G
-                parent = model.body_parentid[model.body(moved.name).id]
-                moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
-                continue
-            foot, site = foot_parts(spec, robot.limbs.legs[leg])
-            along_G = data.site(site.name).xpos - upper_G
-            shift = _in_frame(data, model.body(site.parent.name).id, along_G) * self.value
-            # The touch site moves with the foot; a sprung foot moves with its body.
-            if site.parent.name in robot.foot_bodies:
-                foot.pos, site.pos = foot.pos + shift, site.pos + shift
+                moved = [spec.joint(names[link + 1]).parent]
+                lower_G = data.xanchor[model.joint(names[link + 1]).id]
             else:
-                body = site.parent
-                link = model.body_parentid[model.body(body.name).id]
-                body.pos = body.pos + _in_frame(data, link, along_G) * self.value
+                foot, site = foot_parts(spec, robot.limbs.legs[leg])
+                # The touch site moves with the foot; a sprung foot moves with its body.
+                sprung = site.parent.name not in robot.foot_bodies
+                moved = [site.parent] if sprung else [foot, site]
+                lower_G = data.site(site.name).xpos
+            frame = model.body(moved[0].parent.name).id
+            shift = _in_frame(data, frame, lower_G - upper_G) * self.value
+            for part in moved:
+                part.pos = part.pos + shift
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         legs = robot.legs

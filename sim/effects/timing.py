@@ -51,9 +51,7 @@ class Delay(Effect):
         return streams_at(streams, self.delayed, streams.t - self.value)
 
     def alter_reference(self, reference: Reference) -> Reference:
-        if "ref" not in self.delayed:
-            return reference
-        return reference_at(reference, reference.t - self.value)
+        return reference_at(reference, self.delayed, reference.t - self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return log_at(log, self.delayed, log.t + self.value), robot
@@ -227,9 +225,7 @@ class ClockScale(Effect):
         return streams_at(streams, STREAMS[self.target], self._then(streams.t))
 
     def alter_reference(self, reference: Reference) -> Reference:
-        if self.target != "reference":
-            return reference
-        return reference_at(reference, self._then(reference.t))
+        return reference_at(reference, STREAMS[self.target], self._then(reference.t))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         t = log.t

@@ -111,9 +111,8 @@ class Dynamics:
         # Rows last, so that the joints that carry nothing of a link take no memory.
         out = np.zeros((5, len(self.dof_adr), model.nv, len(q)))
         bodies = model.jnt_bodyid[model.dof_jntid[self.dof_adr]]
-        links = _Links(bodies, model.body_mass, d.xmat, d.cvel)
         with self._changed():
-            _sweep_links(self._memory, links, *motion, out)
+            _sweep_links(self._memory, bodies, model.body_mass, d.xmat, d.cvel, *motion, out)
         return out
 
     def parted(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -177,15 +176,6 @@ class _Memory(NamedTuple):
     dry: np.ndarray
     stiff: np.ndarray
     lead: np.ndarray
-
-
-class _Links(NamedTuple):
-    """Links, and the motion of all B bodies, named as in MuJoCo."""
-
-    bodies: np.ndarray  # (J,), index of each link's body
-    mass: np.ndarray  # (B,)
-    xmat: np.ndarray  # (B, 9)
-    cvel: np.ndarray  # (B, 6)
 
 
 def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -292,7 +282,7 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
 
 
 @kernel(nogil=True)
-def _sweep_links(memory, links, Q, V, A, out):
+def _sweep_links(memory, bodies, masses, xmat, cvel, Q, V, A, out):
     """Derivatives of the generalised forces of N motions by mass, centre and inertia of links.
 
     A point with the acceleration a takes a force a per unit of mass. Shifted along e, it gains the
@@ -300,7 +290,10 @@ def _sweep_links(memory, links, Q, V, A, out):
 
     Args:
         memory: a _Memory.
-        links: _Links.
+        bodies: (J,), of the links.
+        masses: of all bodies (B,) [kg].
+        xmat: their attitudes (B, 9), as in MuJoCo.
+        cvel: their velocities (B, 6), as in MuJoCo.
         Q: (N, nq), positions.
         V: (N, nv), velocities.
         A: (N, nv), accelerations.
@@ -312,11 +305,11 @@ def _sweep_links(memory, links, Q, V, A, out):
     for k in range(len(Q)):
         _take_motion(memory, Q[k], V[k], A[k])
         _mj_rnePostConstraint(model, data)
-        for j, body in enumerate(links.bodies):
+        for j, body in enumerate(bodies):
             _mj_objectAcceleration(model, data, _BODY, body, moved.ctypes.data, 0)
             _mj_jacBodyCom(model, data, shift.ctypes.data, turn.ctypes.data, body)
             spin, a = moved[:3], moved[3:]
-            w, mass, R = links.cvel[body], links.mass[body], links.xmat[body]
+            w, mass, R = cvel[body], masses[body], xmat[body]
             for dof in range(nv):
                 by_shift, by_turn = shift[:, dof], turn[:, dof]
                 if not (by_shift.any() or by_turn.any()):
