@@ -13,6 +13,7 @@ from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.drives import foot_parts
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import posed
 
 _pose = partial(Traced, channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
 
@@ -41,8 +42,7 @@ class LinkLength(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        data = posed(model)
         for leg, link in self._places(robot):
             names = [robot.joint_names[joint] for joint in robot.limbs.chains[leg]]
             upper_G = data.xanchor[model.joint(names[link]).id]
@@ -158,8 +158,7 @@ def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):
     """
     leg, axis = leg_and_axis(one, robot)
     hinge, model = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]), spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = posed(model)
     along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
     return hinge, model, _in_frame(data, int(model.body(hinge.parent.name).parentid[0]), along_G)
 

@@ -16,7 +16,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import take_off_ball, with_own_inertia
-from surefoot.sim.robot.legs import LEGS
+from surefoot.sim.robot.legs import LEGS, posed
 
 RELAXATION = 0.001
 """Damping over stiffness [s]: at 20 Hz the loss factor is 0.13, as for rubber and gear trains."""
@@ -96,8 +96,7 @@ def add_foot_springs(
 def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
     """The springs of a compiled model."""
     joints = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = posed(model)
     axes = np.tile(np.eye(3), (len(LEGS), 1, 1))
     for leg, name in enumerate(LEGS):
         foot = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"{name}_sliding_foot")

@@ -76,7 +76,7 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
     """
     with errors_in(f"robot {name}"):
         base = _floating_base(model)
-        data = _posed(model, "home")
+        data = posed(model, "home")
         if feet:
             legs, chains, found = _named_legs(data, base, feet)
         else:
@@ -112,7 +112,7 @@ def _floating_base(model: mujoco.MjModel) -> int:
     return int(model.jnt_bodyid[free[0]])
 
 
-def _posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
+def posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
     """The poses of all parts in a keyframe or, where there is none, with all joints at zero."""
     data = mujoco.MjData(model)
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
@@ -482,7 +482,7 @@ def _named_by_place(
 
     Four are FL, FR, RL, RR, two left, right; others are named after their first body.
     """
-    data = _posed(model)
+    data = posed(model)
     R = data.xmat[base].reshape(3, 3)
     hips = [data.xanchor[chain[min(1, len(chain) - 1)]] for chain in chains]
     places = np.array([R.T @ (hip - data.xpos[base]) for hip in hips])
@@ -535,7 +535,7 @@ def _limbs(
         joints: all of the robot's, those of the legs first.
         feet: of the legs.
     """
-    names, data = [model.joint(j).name for j in joints], _posed(model)
+    names, data = [model.joint(j).name for j in joints], posed(model)
     if legs == LEGS and all(len(chain) == 3 for chain in chains):
         names[:12] = JOINTS
         if len(joints) == 12:
