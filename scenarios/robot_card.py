@@ -77,14 +77,14 @@ def _card(robot: Robot) -> RobotCard:
     joints = [
         {
             "joint": joint,
-            "in the file": own,
+            "in the file": name,
             "from [rad]": robot.joint_range[j, 0],
             "to [rad]": robot.joint_range[j, 1],
             "torque [N m]": robot.torque_limit[j],
             "at home [rad]": round(robot.q_home[j], 6) + 0.0,  # of a search; no -1e-12, no -0
             "link [kg]": float(model.body_mass[model.body_weldid == moved[j]].sum()),
         }
-        for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
+        for j, (joint, name) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
     ]
     feet = [
         {

@@ -164,8 +164,8 @@ class _Compilation(event.Listener):
             if gc.isenabled():
                 gc.set_threshold(*RARE_COLLECTION)
         self._depth += 1
-        late = self._clock() - self._began > QUIET_TIME
-        if not self._said and (late or sys.stderr.isatty()):
+        is_long = self._clock() - self._began > QUIET_TIME
+        if not self._said and (is_long or sys.stderr.isatty()):
             print(f"compiling once, up to {COMPILE_TIME:.0f} s", file=sys.stderr, flush=True)
             self._said = True
 

@@ -32,7 +32,7 @@ a sine is linear over an eighth of its period.
 """
 
 
-_late = partial(Traced, step=1e-3, belongs_to="sensor", lossy=True)
+_lagging = partial(Traced, step=1e-3, belongs_to="sensor", lossy=True)
 
 
 class Delay(Effect):
@@ -45,7 +45,7 @@ class Delay(Effect):
     unit = "s"
     bounds = (-0.05, 0.05)
     targets = ("all",)
-    traced = _late()
+    traced = _lagging()
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return streams_at(streams, self.delayed, streams.t - self.value)
@@ -84,7 +84,7 @@ class JointDelay(Delay):
     """
 
     delayed = STREAMS["joints"]
-    traced = _late(
+    traced = _lagging(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
         needs=("reference",),
         on_given_feet=True,
@@ -103,7 +103,7 @@ class ImuDelay(Delay):
     """Angular rates and specific forces arrive late by a constant time."""
 
     delayed = STREAMS["imu"]
-    traced = _late(
+    traced = _lagging(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
         needs=("imu",),
         on_given_feet=True,
@@ -117,7 +117,7 @@ class TorqueDelay(Delay):
     """Joint torques alone arrive late by a constant time."""
 
     delayed = ("tau",)
-    traced = _late(
+    traced = _lagging(
         channels=("joint_torque", "base_wrench", "command"),
         chain_rule="readings",
         prior=LATENCY,
@@ -131,7 +131,7 @@ class RateDelay(Delay):
     """
 
     delayed = ("dq",)
-    traced = _late(
+    traced = _lagging(
         channels=("joint_rate", "leg_velocity", "joint_torque", "base_wrench"),
         needs=("dq",),
         # Longer than a row, so that noise is not differentiated as the slope of rates.
@@ -146,7 +146,7 @@ class ReferenceDelay(Delay):
 
     bounds = (-0.2, 0.2)
     delayed = STREAMS["reference"]
-    traced = _late(
+    traced = _lagging(
         channels=("imu_gyro", "imu_accel", "leg_velocity", "foot_height"),
         belongs_to="run",
         needs=("reference",),

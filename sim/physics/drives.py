@@ -165,9 +165,9 @@ def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody
     geom, site = foot_parts(spec, LEGS[leg])
     link, model = site.parent, spec.compile()
     data = robot.at_home(model)
-    base, own = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
+    base, of_link = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
     quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())
+    mujoco.mju_mat2Quat(quat, (of_link.T @ base).ravel())
     foot = link.add_body(name=f"{LEGS[leg]}_sliding_foot", pos=geom.pos, quat=quat)
     mass, radius = FOOT_SHARE * robot.inertial[3], geom.size[0]
     # Relative to what the last joint moves: in many files the foot is a shell without a joint or

@@ -47,10 +47,10 @@ def test_a_batch_gives_the_bits_of_walks_alone():
 
 
 def test_progress_never_falls_and_ends_at_one():
-    told = []
-    list(on_threads([Job(ROUGH, "spot_class", s) for s in (0, 1)], walk_job, 2, told.append))
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+    shares = []
+    list(on_threads([Job(ROUGH, "spot_class", s) for s in (0, 1)], walk_job, 2, shares.append))
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_an_error_stops_the_walks_that_are_on():
