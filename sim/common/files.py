@@ -7,19 +7,19 @@ a command are never overwritten.
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from glob import escape
 from importlib.resources import files
 from pathlib import Path
 from threading import RLock
 from typing import Any
 
-import msgspec
 from platformdirs import user_cache_path
 
 from surefoot.sim.common.errors import SurefootError, did_you_mean
@@ -334,11 +334,17 @@ def plain_json(value: Any) -> Any:
     """A value as plain JSON: numbers that are not finite as null, arrays as lists, dataclasses as
     their fields, files as names.
     """
-    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_plain))
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain_json(one) for key, one in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain_json(one) for one in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, str | int | None) else str(value)
 
 
 def check_space(path: Path, needed: float) -> None:
