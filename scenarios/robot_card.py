@@ -77,14 +77,14 @@ def _card(robot: Robot) -> RobotCard:
     joints = [
         {
             "joint": joint,
-            "in the file": own,
+            "in the file": name,
             "from [rad]": robot.joint_range[j, 0],
             "to [rad]": robot.joint_range[j, 1],
             "torque [N m]": robot.torque_limit[j],
             "at home [rad]": round(robot.q_home[j], 6) + 0.0,  # of a search; no -1e-12, no -0
             "link [kg]": float(model.body_mass[model.body_weldid == moved[j]].sum()),
         }
-        for j, (joint, own) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
+        for j, (joint, name) in enumerate(zip(robot.limbs.joints, robot.joint_names, strict=True))
     ]
     feet = [
         {
@@ -125,7 +125,7 @@ def portrait(robot: Robot) -> Figure:
     figure, sides = new_figure(1, 2, (9.0, 4.2))
     for axes, across, title in zip(sides[0], (0, 1), ("its left", "the front"), strict=True):
         for geom in np.flatnonzero(model.geom_bodyid > 0):
-            outline = in_base(outline_G(model, data, int(geom)))[:, [across, 2]]
+            outline = in_base(outline_G(data, int(geom)))[:, [across, 2]]
             hull = outline[ConvexHull(outline, qhull_options="QJ").vertices]
             axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
         for leg, chain in enumerate(robot.limbs.chains):

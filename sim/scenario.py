@@ -91,9 +91,8 @@ class Scenario:
             ground = file.ground.ground(path.resolve().parent)
         segments = tuple(chain.from_iterable(entry.segments() for entry in file.segment))
         name = path.stem if file.name is None else file.name
-        same: dict[str, Any] = dict(vars(file))
-        for key in ("name", "segment", "ground"):
-            del same[key]
+        changed = ("name", "segment", "ground")
+        same: dict[str, Any] = {key: one for key, one in vars(file).items() if key not in changed}
         return cls(name, segments, ground, **same)
 
 

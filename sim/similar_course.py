@@ -11,7 +11,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.height_map import LATTICE
 from surefoot.sim.ground.terrain import Ground, HeightField, Patch, Strip
 from surefoot.sim.robot import Robot
-from surefoot.sim.scenario import Scenario
+from surefoot.sim.scenario import Scenario, Segment
 
 SLIP_CARE = 0.5
 """Least `slip_care` on a course made for another robot. Short legs recover only from shorter
@@ -39,14 +39,8 @@ def _scaled(scenario: Scenario, k: float) -> Scenario:
     """The scenario scaled by `k`."""
     root = k**0.5
     segments = tuple(
-        replace(
-            one,
-            duration=one.duration * root,
-            forward=one.forward * root,
-            lateral=one.lateral * root,
-            turn=one.turn / root,
-        )
-        for one in scenario.segments
+        Segment(s.duration * root, s.forward * root, s.lateral * root, s.turn / root)
+        for s in scenario.segments
     )
     ground, ranges = scenario.ground, scenario.ranges
     return replace(

@@ -117,8 +117,13 @@ def walk(
     Raises Fallen, with time, place and reason, if the robot falls; `fallen_log` is the walk until
     then.
     """
-    made = plan(scenario, robot, seed, effects, declared)
-    return record(made, simulate_motion(made.world, robot, made.gait, made.course, progress))
+    return walk_planned(plan(scenario, robot, seed, effects, declared), progress)
+
+
+def walk_planned(made: Plan, progress: Callable[[float], None] | None = None) -> Log:
+    """Simulate and record a walk along its plan, as `walk` does."""
+    motion = simulate_motion(made.world, made.robot, made.gait, made.course, progress)
+    return record(made, motion)
 
 
 def plan(

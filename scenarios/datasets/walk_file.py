@@ -14,8 +14,8 @@ from surefoot.scenarios.datasets.index import (
 )
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.log import Log, LogReader, LogWriter
-from surefoot.sim.walk import Fallen, Plan, fallen_log, meta_of
-from surefoot.sim.walking.batch import Job, plan_of, walk_planned
+from surefoot.sim.walk import Fallen, Plan, fallen_log, meta_of, walk_planned
+from surefoot.sim.walking.batch import Job, plan_of
 from surefoot.sim.walking.long_walk import LONG_WALK, needs_whole, walk_in_pieces
 
 
@@ -35,17 +35,15 @@ def walk_and_save(
         progress: called with the share done.
     """
     made, path = plan_of(job), folder / f"{log_name(job)}.parquet"
-    if made.seconds > LONG_WALK and not needs_whole(made):
-        try:
+    try:
+        if made.seconds > LONG_WALK and not needs_whole(made):
             _write_in_pieces(made, path, fall_path(folder, job), force, progress)
-        except Fallen as fall:
-            return row_of(job, made, fall)
-        return row_of(job, made, walk_facts(Log.chunks(LogReader(path), MINUTE)), path)
-    log = walk_planned(job, made, progress).log
-    if isinstance(log, Fallen):
-        if before := fallen_log(made, log):
+            return row_of(job, made, walk_facts(Log.chunks(LogReader(path), MINUTE)), path)
+        log = walk_planned(made, progress)
+    except Fallen as fall:
+        if before := fallen_log(made, fall):
             before.write(fall_path(folder, job), force=True)
-        return row_of(job, made, log)
+        return row_of(job, made, fall)
     log.write(path, force)
     return row_of(job, made, walk_facts([log]), path)
 

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 from llvmlite import binding
@@ -41,7 +40,6 @@ objects and hardly any garbage: with the usual thresholds, collecting took an ei
 QUIET_TIME = 3.0
 """Compilation time after which the notice is also printed to a file or pipe [s]."""
 
-_lock = Lock()
 _swept: set[Path] = set()
 _compiled: set[Any] = set()
 
@@ -61,35 +59,27 @@ def kernel(function: Any = None, **options: Any) -> Any:
     compiler: Any = njit
     # No kernel is called through a pointer of C, so the wrapper for that is left out.
     made = compiler(no_cfunc_wrapper=True, **options)(function)
-    if config.DISABLE_JIT:
-        return made
-    with _lock:
-        kept = config.CACHE_DIR
-        # numba reads the cache folder when a cache is made.
-        config.CACHE_DIR = str(_folder(function))
-        try:
-            made._cache = _Cache(function)
-        finally:
-            config.CACHE_DIR = kept
+    if not config.DISABLE_JIT:
+        made._cache = _Cache(function)
     return made
 
 
 class _Locator(UserProvidedCacheLocator):
-    """The cache folder, whether or not it can be written to; numba would use the package's."""
+    """The cache folder, whether or not it can be written to; numba would use the package's.
+
+    Its name stands for the contents of the sources, so that checkouts and installations of the same
+    code share it; neither their path nor their time matters.
+    """
+
+    def __init__(self, function: Any, _file: str):
+        self._cache_path, self._lineno = str(_folder(function)), function.__code__.co_firstlineno
 
     @classmethod
-    def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        # numba would add the path of the sources. The folder's name stands for their contents, so
-        # that checkouts and installations of the same code share it.
-        return ""
+    def from_function(cls, py_func: Any, py_file: str) -> "_Locator":
+        return cls(py_func, py_file)
 
     def get_source_stamp(self) -> bytes:
-        # Nor does the time at which the sources were written matter.
         return b""
-
-    def ensure_cache_path(self) -> None:
-        with suppress(OSError):
-            super().ensure_cache_path()
 
 
 class _Implementation(CompileResultCacheImpl):
@@ -174,8 +164,8 @@ class _Compilation(event.Listener):
             if gc.isenabled():
                 gc.set_threshold(*RARE_COLLECTION)
         self._depth += 1
-        late = self._clock() - self._began > QUIET_TIME
-        if not self._said and (late or sys.stderr.isatty()):
+        is_long = self._clock() - self._began > QUIET_TIME
+        if not self._said and (is_long or sys.stderr.isatty()):
             print(f"compiling once, up to {COMPILE_TIME:.0f} s", file=sys.stderr, flush=True)
             self._said = True
 

@@ -1,7 +1,7 @@
 """Conversion between unit quaternions (w, x, y, z) and rotation matrices."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 
 def matrix_from_quaternion(q: np.ndarray) -> np.ndarray:
@@ -25,23 +25,11 @@ def check_rotation(R: np.ndarray) -> None:
 
 
 def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
-    """Interpolate attitudes q (N, 4), given at t (N,) [s], to the times `then` (M,) [s] (Shoemake
-    1985).
+    """Interpolate attitudes q (N, 4), given at t (N,) [s], to the times `then` (M,) [s] among these
+    (Shoemake 1985).
 
     Rotates at a constant rate and by the shorter way between neighbours; returns (M, 4) with w >=
     0.
     """
-    q = q / np.linalg.norm(q, axis=1, keepdims=True)
-    at = np.clip(np.searchsorted(t, then, side="right") - 1, 0, len(t) - 2)
-    share = (then - t[at]) / (t[at + 1] - t[at])
-    here, ahead = q[at], q[at + 1]
-    ahead = np.where(np.sum(here * ahead, axis=1, keepdims=True) < 0.0, -ahead, ahead)
-    # Angle over pi, as `sinc` expects, from the chord, which is accurate for small angles.
-    angle = 2.0 / np.pi * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(ahead - here, axis=1)))
-
-    def weight(share: np.ndarray) -> np.ndarray:
-        return (share * np.sinc(share * angle) / np.sinc(angle))[:, None]
-
-    found = weight(1.0 - share) * here + weight(share) * ahead
-    found /= np.linalg.norm(found, axis=1, keepdims=True)
-    return np.where(found[:, :1] < 0.0, -found, found)
+    turned = Slerp(t, Rotation.from_quat(q, scalar_first=True))(then)
+    return turned.as_quat(canonical=True, scalar_first=True)

@@ -13,6 +13,7 @@ from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, turn_about
 from surefoot.sim.log import Log
 from surefoot.sim.physics.drives import foot_parts
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.legs import posed
 
 _pose = partial(Traced, channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
 
@@ -41,27 +42,23 @@ class LinkLength(Effect):
 
     def edit_spec(self, spec: mujoco.MjSpec, robot: Robot) -> None:
         model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+        data = posed(model)
         for leg, link in self._places(robot):
             names = [robot.joint_names[joint] for joint in robot.limbs.chains[leg]]
             upper_G = data.xanchor[model.joint(names[link]).id]
             if link + 1 < len(names):
-                moved = spec.joint(names[link + 1]).parent
-                along_G = data.xanchor[model.joint(names[link + 1]).id] - upper_G
-                parent = model.body_parentid[model.body(moved.name).id]
-                moved.pos = moved.pos + _in_frame(data, parent, along_G) * self.value
-                continue
-            foot, site = foot_parts(spec, robot.limbs.legs[leg])
-            along_G = data.site(site.name).xpos - upper_G
-            shift = _in_frame(data, model.body(site.parent.name).id, along_G) * self.value
-            # The touch site moves with the foot; a sprung foot moves with its body.
-            if site.parent.name in robot.foot_bodies:
-                foot.pos, site.pos = foot.pos + shift, site.pos + shift
+                moved = [spec.joint(names[link + 1]).parent]
+                lower_G = data.xanchor[model.joint(names[link + 1]).id]
             else:
-                body = site.parent
-                link = model.body_parentid[model.body(body.name).id]
-                body.pos = body.pos + _in_frame(data, link, along_G) * self.value
+                foot, site = foot_parts(spec, robot.limbs.legs[leg])
+                # The touch site moves with the foot; a sprung foot moves with its body.
+                sprung = site.parent.name not in robot.foot_bodies
+                moved = [site.parent] if sprung else [foot, site]
+                lower_G = data.site(site.name).xpos
+            frame = model.body(moved[0].parent.name).id
+            shift = _in_frame(data, frame, lower_G - upper_G) * self.value
+            for part in moved:
+                part.pos = part.pos + shift
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         legs = robot.legs
@@ -161,8 +158,7 @@ def _hip(one: Effect, spec: mujoco.MjSpec, robot: Robot):
     """
     leg, axis = leg_and_axis(one, robot)
     hinge, model = spec.joint(robot.joint_names[robot.limbs.chains[leg][0]]), spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = posed(model)
     along_G = data.xmat[model.body(robot.base_name).id].reshape(3, 3)[:, axis]
     return hinge, model, _in_frame(data, int(model.body(hinge.parent.name).parentid[0]), along_G)
 

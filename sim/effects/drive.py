@@ -13,8 +13,8 @@ from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects.base import NO_FIGURE_OF_DRIVES, Effect, Prior, Traced
-from surefoot.sim.log import Log
-from surefoot.sim.log.derived import JOINT_WINDOW, derivative, steady_rate
+from surefoot.sim.log import Log, joint_velocity
+from surefoot.sim.log.derived import steady_rate
 from surefoot.sim.physics.drives import set_share_of_load, share_of_load
 from surefoot.sim.physics.loads import STICTION_RATE
 from surefoot.sim.robot import Robot
@@ -54,9 +54,10 @@ class DriveEffect(Effect):
         columns, asked = {}, log.has("tau_ff") or log.has("q_des")
         if asked and not log.has("tau_ff"):
             columns = {f"tau_ff_{joint}": np.zeros(len(log.t)) for joint in log.joints}
+        rates = dict(zip(log.joints, joint_velocity(log).T, strict=True))
         for joint in self.members(robot.limbs):
             torque = log.columns[f"tau_{joint}"]
-            less = self.value * self.lost_torque(log.t, _rate(log, joint), torque)
+            less = self.value * self.lost_torque(log.t, rates[joint], torque)
             columns[f"tau_{joint}"] = torque - less
             if asked:
                 columns[f"tau_ff_{joint}"] = log.columns.get(f"tau_ff_{joint}", 0.0) - less
@@ -235,11 +236,3 @@ def _stiction(rate: np.ndarray) -> float:
 def _sense(rate: np.ndarray) -> np.ndarray:
     """Sense of a joint's motion (N,), -1 to 1: the sign of its rate, smoothed."""
     return np.tanh(rate / _stiction(rate))
-
-
-def _rate(log: Log, joint: str) -> np.ndarray:
-    """A joint's rate (N,) [rad/s], as logged or else derived from its angle."""
-    if f"dq_{joint}" in log.columns:
-        return log.columns[f"dq_{joint}"]
-    angle = log.columns[f"q_{joint}"][:, None]
-    return derivative(log.t, angle, JOINT_WINDOW, causal=False)[:, 0]

@@ -5,7 +5,6 @@ and damping (`sim.physics.drives`); a model that compensates a spring takes the 
 """
 
 from functools import partial
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -99,18 +98,6 @@ class FootElasticity(Effect):
         return (2,) if self.target == "normal" else (0, 1)
 
 
-class Deflection(NamedTuple):
-    """Motion of the joints with a compliance of one.
-
-    Attributes:
-        angle: (N, J) [rad].
-        rate: (N, J) [rad/s].
-    """
-
-    angle: np.ndarray
-    rate: np.ndarray
-
-
 def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> np.ndarray:
     """Change of the joints' angles (N, J) [rad] of a stiff leg that moves the feet like their load
     does with a compliance of 1 m/N along these axes of the base.
@@ -135,19 +122,21 @@ def _angles_of_yielding_feet(log: Log, robot: Robot, axes: tuple[int, ...]) -> n
     return turned
 
 
-def _deflection(log: Log, angle: np.ndarray) -> Deflection:
-    """The deflection with these angles (N, J) [rad]."""
+def _deflection(log: Log, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (N, J) [rad] of joints with a compliance of one, and their rates (N, J) [rad/s]."""
     # A difference between rows would amplify the load's noise beyond that of the rate.
     smooth = local_quadratic(log.t, angle, LOAD_WINDOW)[0]
-    return Deflection(angle, np.gradient(smooth, log.t, axis=0))
+    return angle, np.gradient(smooth, log.t, axis=0)
 
 
-def _deflected(log: Log, compliance: float, by: Deflection, joints: tuple[str, ...]) -> Log:
-    """Deflect some joints of a log."""
+def _deflected(
+    log: Log, compliance: float, by: tuple[np.ndarray, np.ndarray], joints: tuple[str, ...]
+) -> Log:
+    """Deflect some joints of a log by a compliance times a `_deflection`."""
     columns = {}
     for joint in joints:
         at = log.joints.index(joint)
-        for name, moved in ((f"q_{joint}", by.angle), (f"dq_{joint}", by.rate)):
+        for name, moved in zip((f"q_{joint}", f"dq_{joint}"), by, strict=True):
             if name in log.columns:
                 columns[name] = log.columns[name] + compliance * moved[:, at]
     return log.with_columns(columns)

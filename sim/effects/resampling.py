@@ -46,8 +46,10 @@ def streams_at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> St
     return replace(streams, **moved)
 
 
-def reference_at(reference: Reference, then: np.ndarray) -> Reference:
-    """The reference as it was at the times `then` (N,) [s]."""
+def reference_at(reference: Reference, names: tuple[str, ...], then: np.ndarray) -> Reference:
+    """The reference as it was at the times `then` (N,) [s], if `names` of readings have it."""
+    if "ref" not in names:
+        return reference
     t = reference.t
     then = np.clip(then, t[0], t[-1])
     turned = Slerp(t, Rotation.from_matrix(reference.R_GI))(then)

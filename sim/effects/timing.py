@@ -32,7 +32,7 @@ a sine is linear over an eighth of its period.
 """
 
 
-_late = partial(Traced, step=1e-3, belongs_to="sensor", lossy=True)
+_lagging = partial(Traced, step=1e-3, belongs_to="sensor", lossy=True)
 
 
 class Delay(Effect):
@@ -45,15 +45,13 @@ class Delay(Effect):
     unit = "s"
     bounds = (-0.05, 0.05)
     targets = ("all",)
-    traced = _late()
+    traced = _lagging()
 
     def alter_streams(self, streams: Streams, robot: Robot) -> Streams:
         return streams_at(streams, self.delayed, streams.t - self.value)
 
     def alter_reference(self, reference: Reference) -> Reference:
-        if "ref" not in self.delayed:
-            return reference
-        return reference_at(reference, reference.t - self.value)
+        return reference_at(reference, self.delayed, reference.t - self.value)
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         return log_at(log, self.delayed, log.t + self.value), robot
@@ -86,7 +84,7 @@ class JointDelay(Delay):
     """
 
     delayed = STREAMS["joints"]
-    traced = _late(
+    traced = _lagging(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
         needs=("reference",),
         on_given_feet=True,
@@ -105,7 +103,7 @@ class ImuDelay(Delay):
     """Angular rates and specific forces arrive late by a constant time."""
 
     delayed = STREAMS["imu"]
-    traced = _late(
+    traced = _lagging(
         channels=("imu_gyro", "imu_accel", "leg_velocity"),
         needs=("imu",),
         on_given_feet=True,
@@ -119,7 +117,7 @@ class TorqueDelay(Delay):
     """Joint torques alone arrive late by a constant time."""
 
     delayed = ("tau",)
-    traced = _late(
+    traced = _lagging(
         channels=("joint_torque", "base_wrench", "command"),
         chain_rule="readings",
         prior=LATENCY,
@@ -133,7 +131,7 @@ class RateDelay(Delay):
     """
 
     delayed = ("dq",)
-    traced = _late(
+    traced = _lagging(
         channels=("joint_rate", "leg_velocity", "joint_torque", "base_wrench"),
         needs=("dq",),
         # Longer than a row, so that noise is not differentiated as the slope of rates.
@@ -148,7 +146,7 @@ class ReferenceDelay(Delay):
 
     bounds = (-0.2, 0.2)
     delayed = STREAMS["reference"]
-    traced = _late(
+    traced = _lagging(
         channels=("imu_gyro", "imu_accel", "leg_velocity", "foot_height"),
         belongs_to="run",
         needs=("reference",),
@@ -227,9 +225,7 @@ class ClockScale(Effect):
         return streams_at(streams, STREAMS[self.target], self._then(streams.t))
 
     def alter_reference(self, reference: Reference) -> Reference:
-        if self.target != "reference":
-            return reference
-        return reference_at(reference, self._then(reference.t))
+        return reference_at(reference, STREAMS[self.target], self._then(reference.t))
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         t = log.t

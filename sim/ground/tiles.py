@@ -4,7 +4,7 @@ Overlapping geoms would give two contacts, so strips are divided along the edges
 the strips that cover them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 
 import mujoco
@@ -20,7 +20,6 @@ SOLREF = (0.004, 1.0)
 SOLIMP = (0.98, 0.995, 0.0005, 0.5, 2.0)
 TORSION, ROLLING = 0.005, 0.0001  # m
 ANYTHING = 2**31 - 1  # contact bits: whatever can touch at all touches the ground
-_Snap = Callable[[float, int], float]
 GREY, ICY = (0.5, 0.5, 0.48, 1), (0.55, 0.75, 0.9, 1)
 
 
@@ -39,8 +38,7 @@ def add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
         mu = ground.mu if layer.mu is None else layer.mu
         patches = [(patch.rectangle, patch.mu) for patch in ground.patches]
         for facet in layer.facets():
-            snap = layer.on_lattice if layer.on_grid else None
-            for tile, tile_mu in _cut(facet[0], mu, hidden, patches, snap):
+            for tile, tile_mu in _cut(layer, facet[0], mu, hidden, patches):
                 # Set every attribute that the robot's default for geoms could change.
                 geom = {
                     "contype": ANYTHING,
@@ -121,25 +119,25 @@ def _add_field(spec: mujoco.MjSpec, layer: Layer, tile: Extent, geom: dict) -> N
 
 
 def _cut(
+    layer: Layer,
     rectangle: Extent,
     mu: float,
     hidden: Sequence[Extent],
     patches: Sequence[tuple[Extent, float]],
-    snap: _Snap | None,
 ) -> list[tuple[Extent, float]]:
-    """Divide the visible part of a rectangle into adjacent tiles, each with its friction.
+    """Divide the visible part of a layer's rectangle into adjacent tiles, each with its friction.
 
     Args:
+        layer: along whose lattice it is divided, if it has one.
         rectangle: (x0, x1, y0, y1) in G [m].
         mu: friction outside the patches.
         hidden: rectangles covered by others.
         patches: rectangles with their own friction; the last one counts.
-        snap: function to the lattice line nearest to an edge, for a layer of heights.
     """
     hidden = [r for r in hidden if rectangles_overlap(rectangle, r)]
     patches = [(r, m) for r, m in patches if rectangles_overlap(rectangle, r)]
     edges_x, edges_y = (
-        _edges([*hidden, *(r for r, _ in patches)], rectangle, axis, snap) for axis in (0, 1)
+        _edges(layer, [*hidden, *(r for r, _ in patches)], rectangle, axis) for axis in (0, 1)
     )
     tiles: list[tuple[Extent, float]] = []
     for x0, x1 in pairwise(edges_x):
@@ -157,13 +155,11 @@ def _cut(
     return tiles
 
 
-def _edges(
-    rectangles: Sequence[Extent], within: Extent, axis: int, snap: _Snap | None
-) -> list[float]:
+def _edges(layer: Layer, rectangles: Sequence[Extent], within: Extent, axis: int) -> list[float]:
     low, high = within[2 * axis], within[2 * axis + 1]
     edges = {e for r in rectangles for e in r[2 * axis : 2 * axis + 2] if low < e < high}
-    if snap:
-        edges = {snap(e, axis) for e in edges}
+    if layer.on_grid:
+        edges = {layer.on_lattice(e, axis) for e in edges}
     inner = [e for e in sorted(edges) if low + 1e-9 < e < high - 1e-9]
     return [low, *inner, high]
 

@@ -16,7 +16,7 @@ import numpy as np
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import take_off_ball, with_own_inertia
-from surefoot.sim.robot.legs import LEGS
+from surefoot.sim.robot.legs import LEGS, posed
 
 RELAXATION = 0.001
 """Damping over stiffness [s]: at 20 Hz the loss factor is 0.13, as for rubber and gear trains."""
@@ -96,8 +96,7 @@ def add_foot_springs(
 def springs_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Springs:
     """The springs of a compiled model."""
     joints = {model.joint(j).name: int(model.jnt_dofadr[j]) for j in range(model.njnt)}
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    data = posed(model)
     axes = np.tile(np.eye(3), (len(LEGS), 1, 1))
     for leg, name in enumerate(LEGS):
         foot = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"{name}_sliding_foot")
@@ -166,9 +165,9 @@ def _sliding_foot(spec: mujoco.MjSpec, robot: Robot, leg: int) -> mujoco.MjsBody
     geom, site = foot_parts(spec, LEGS[leg])
     link, model = site.parent, spec.compile()
     data = robot.at_home(model)
-    base, own = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
+    base, of_link = (data.body(name).xmat.reshape(3, 3) for name in (robot.base_name, link.name))
     quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, (own.T @ base).ravel())
+    mujoco.mju_mat2Quat(quat, (of_link.T @ base).ravel())
     foot = link.add_body(name=f"{LEGS[leg]}_sliding_foot", pos=geom.pos, quat=quat)
     mass, radius = FOOT_SHARE * robot.inertial[3], geom.size[0]
     # Relative to what the last joint moves: in many files the foot is a shell without a joint or
@@ -246,11 +245,8 @@ def share_of_load(spec: mujoco.MjSpec, joint: str) -> float:
 
 def set_share_of_load(spec: mujoco.MjSpec, joint: str, share: float) -> None:
     """Let a joint's gear lose a share of its motor's torque."""
-    known = spec.numeric(_name(joint))
-    if known:
-        known.data = [share]
-    elif share:
-        spec.add_numeric(name=_name(joint), data=[share])
+    known = spec.numeric(_name(joint)) or spec.add_numeric(name=_name(joint))
+    known.data = [share]
 
 
 def gears_of(model: mujoco.MjModel, joint_names: Sequence[str]) -> Gears:

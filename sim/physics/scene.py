@@ -60,10 +60,9 @@ def robot_spec(robot: Robot) -> mujoco.MjSpec:
                 f"{LEGS[leg]}, like the axle of a wheel; the last of three hinges must bend the leg"
             )
     spec = robot.spec()
-    for part in (*spec.sensors, *spec.actuators, *spec.keys):
+    floor = spec.worldbody.geoms  # of a file that brings a whole scene
+    for part in (*spec.sensors, *spec.actuators, *spec.keys, *floor):
         spec.delete(part)
-    for floor in spec.worldbody.geoms:  # of a file that brings a whole scene
-        spec.delete(floor)
     # With a margin, a sole would float above the ground and roll on too large a radius.
     for geom in spec.geoms:
         geom.margin = geom.gap = 0.0

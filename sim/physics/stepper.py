@@ -46,9 +46,6 @@ class Fallen(SurefootError):
         super().__init__(message)
         self.time, self.how, self.motion = time, how, motion
 
-    def __reduce__(self):
-        return type(self), (str(self), self.time, self.how, self.motion)
-
 
 _mj_step = mujoco_function("mj_step")
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.robot.kinematics import Legs
 
 
 class LinkChange(NamedTuple):
@@ -21,22 +22,12 @@ class LinkChange(NamedTuple):
 
 
 class BodyChanges(NamedTuple):
-    """Deviation of a robot from its file: frames of its joints, each with everything attached, and
-    links.
-
-    All frames are relative to the joint before, or the base; empty where they are as in the file.
-
-    Attributes:
-        drawn: position of each joint's frame in the file (J, 3) [m].
-        placed: its actual position (J, 3) [m].
-        turn: its rotation from the file's (J, 3, 3).
-        links: changes of the links' inertia.
+    """Deviation of a robot from its file: of the frames of its legs' joints, each with everything
+    attached, and of links.
     """
 
-    drawn: np.ndarray = np.empty((0, 3))
-    placed: np.ndarray = np.empty((0, 3))
-    turn: np.ndarray = np.empty((0, 3, 3))
-    links: tuple[LinkChange, ...] = ()
+    frames: tuple[Legs, ...] = ()  # legs as in the file and as they are; empty without legs
+    links: tuple[LinkChange, ...] = ()  # changes of their inertia
 
 
 UNCHANGED_BODY = BodyChanges()
@@ -60,9 +51,12 @@ def bodies_changed(
         changes: of frames and links.
     """
     as_drawn = {name: getattr(model, name).copy() for name in _CHANGED_FIELDS}
-    if len(changes.turn):
-        frames = zip(hung, changes.drawn, changes.placed, changes.turn, strict=True)
-        for body, drawn, placed, turn in frames:
+    for leg, joint in np.ndindex(changes.frames[0].joints.shape if changes.frames else (0, 0)):
+        (drawn, R_drawn), (placed, R_placed) = (
+            (legs.offset[leg, joint], legs.rotation[leg, joint]) for legs in changes.frames
+        )
+        if not (np.array_equal(drawn, placed) and np.array_equal(R_drawn, R_placed)):
+            body, turn = hung[changes.frames[0].joints[leg, joint]], R_placed @ R_drawn.T
             # All bodies between this one and the joint rotate with it.
             model.body_pos[body] = placed - turn @ (drawn - model.body_pos[body])
             quat, before = np.empty(4), model.body_quat[body].copy()

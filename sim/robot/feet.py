@@ -58,9 +58,10 @@ class LegFeet:
             up: the ground's unit normal n (N, 3) in I.
             standing: feet (N, L) for which to compute it.
         """
+        R_IB = self.R_BI.T
         # Contiguous, so that it is compiled once.
-        rows = (np.ascontiguousarray(x) for x in (place, rate, omega, up, standing))
-        return _leg_velocity(self.legs, self.radius, self.R_BI, self.p_BI, *rows)
+        rows = (np.ascontiguousarray(x) for x in (place, rate, omega @ R_IB, up @ R_IB, standing))
+        return _leg_velocity_B(self.legs, self.radius, self.p_BI, *rows) @ self.R_BI
 
     def heights(
         self, place: np.ndarray, p_GI: np.ndarray, up: np.ndarray, standing: np.ndarray
@@ -69,10 +70,8 @@ class LegFeet:
 
         p_GI (N, 3) [m] and the vertical `up` (N, 3) in I are those of the IMU.
         """
-        up_B = up @ self.R_BI.T
-        z = _heights_in_base(self.legs, np.ascontiguousarray(place), up_B, standing)
-        z += (p_GI[:, 2] - up_B @ self.p_BI)[:, None] - self.radius
-        return z
+        feet_I, _, _ = feet(self.legs, np.ascontiguousarray(place), self.R_BI, self.p_BI)
+        return _heights(feet_I, p_GI, up, standing) - self.radius
 
     def rates_I(self, place: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """Angular velocity (N, L, 3) of each foot relative to the base, in I [rad/s]."""
@@ -115,8 +114,7 @@ class PointFeet:
         self, place: np.ndarray, p_GI: np.ndarray, up: np.ndarray, standing: np.ndarray
     ) -> np.ndarray:
         """As of `LegFeet`."""
-        z = p_GI[:, 2, None] + np.einsum("nj,nlj->nl", up, place)
-        return np.where(standing, z, np.nan)
+        return _heights(place, p_GI, up, standing)
 
     def rates_I(self, place: np.ndarray, rate: np.ndarray) -> np.ndarray:
         """As of `LegFeet`: points do not turn."""
@@ -132,30 +130,33 @@ def shown_feet(log: Log, feet: Feet | None) -> Feet | None:
     return feet if feet is not None and log.has(feet.groups[0]) else None
 
 
+def _heights(
+    feet_I: np.ndarray, p_GI: np.ndarray, up: np.ndarray, standing: np.ndarray
+) -> np.ndarray:
+    """Height (N, L) [m] in the world of each standing foot at feet_I (N, L, 3); else NaN."""
+    z = p_GI[:, 2, None] + np.einsum("nj,nlj->nl", up, feet_I)
+    return np.where(standing, z, np.nan)
+
+
 @kernel
-def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
-    """Velocity (M, L, 3) [m/s] of the IMU in I by each standing leg; NaN for the others.
+def _leg_velocity_B(legs, radius, p_BI, q, dq, omega, up, standing):
+    """Velocity (M, L, 3) [m/s] of the IMU in B by each standing leg; NaN for the others.
 
     Args:
         legs: geometry of the legs, as of `leg_forward`.
         radius: (L,) [m], of the feet.
-        R_BI: (3, 3), mounting of the IMU.
-        p_BI: (3,) [m], its origin in B.
+        p_BI: (3,) [m], the IMU's origin in B.
         q: (M, J) [rad].
         dq: (M, J) [rad/s].
-        omega: (M, 3) [rad/s] in I.
-        up: (M, 3), the ground's normal in I.
+        omega: (M, 3) [rad/s] in B.
+        up: (M, 3), the ground's normal in B.
         standing: (M, L) bool.
     """
     out = np.full((len(q), standing.shape[1], 3), np.nan)
     most = legs.q_zero.shape[1]
     foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
-    sole, spin, step = np.empty(3), np.empty(3), np.empty(3)
     for k in range(len(q)):
-        # In B from here on, like the legs; the result is rotated back into I.
-        for a in range(3):
-            sole[a] = R_BI[a, 0] * up[k, 0] + R_BI[a, 1] * up[k, 1] + R_BI[a, 2] * up[k, 2]
-            spin[a] = R_BI[a, 0] * omega[k, 0] + R_BI[a, 1] * omega[k, 1] + R_BI[a, 2] * omega[k, 2]
+        sole, spin = up[k], omega[k]
         for leg in range(standing.shape[1]):
             if not standing[k, leg]:
                 continue
@@ -163,35 +164,11 @@ def _leg_velocity(legs, radius, R_BI, p_BI, q, dq, omega, up, standing):
             r = radius[leg]
             for a in range(3):
                 b, c = (a + 1) % 3, (a + 2) % 3
-                v = 0.0
                 # omega x (r n - (foot - p_BI)), then omega_foot x r n and J dq, joint by joint
-                v += spin[b] * (r * sole[c] - foot[c] + p_BI[c])
+                v = spin[b] * (r * sole[c] - foot[c] + p_BI[c])
                 v -= spin[c] * (r * sole[b] - foot[b] + p_BI[b])
                 for j in range(legs.joint_count[leg]):
                     roll = r * (axes[b, j] * sole[c] - axes[c, j] * sole[b])
                     v += dq[k, legs.joints[leg, j]] * (roll - J[a, j])
-                step[a] = v
-            for a in range(3):
-                out[k, leg, a] = R_BI[0, a] * step[0] + R_BI[1, a] * step[1] + R_BI[2, a] * step[2]
-    return out
-
-
-@kernel
-def _heights_in_base(legs, q, up, standing):
-    """Height (M, L) [m] of each standing foot's centre over the base's origin; NaN for the others.
-
-    Args:
-        legs: geometry of the legs, as of `leg_forward`.
-        q: (M, J) [rad].
-        up: (M, 3), the world's vertical in B.
-        standing: (M, L) bool.
-    """
-    out = np.full(standing.shape, np.nan)
-    most = legs.q_zero.shape[1]
-    foot, J, axes = np.empty(3), np.empty((3, most)), np.empty((3, most))
-    for k in range(len(q)):
-        for leg in range(standing.shape[1]):
-            if standing[k, leg]:
-                leg_forward(legs, leg, q[k], foot, J, axes)
-                out[k, leg] = up[k, 0] * foot[0] + up[k, 1] * foot[1] + up[k, 2] * foot[2]
+                out[k, leg, a] = v
     return out

@@ -28,6 +28,12 @@ _mj_comVel = mujoco_function("mj_comVel")
 _mj_passive = mujoco_function("mj_passive")
 _mj_fwdVelocity = mujoco_function("mj_fwdVelocity")
 _mj_rne = mujoco_function("mj_rne", types.intc, types.uintp)
+_mj_rnePostConstraint = mujoco_function("mj_rnePostConstraint")
+_mj_objectAcceleration = mujoco_function(
+    "mj_objectAcceleration", types.intc, types.intc, types.uintp, types.intc
+)
+_mj_jacBodyCom = mujoco_function("mj_jacBodyCom", types.uintp, types.uintp, types.intc)
+_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 
 
 @dataclass(frozen=True)
@@ -101,12 +107,12 @@ class Dynamics:
             ddq: (N, J).
             base: (N, 9) or None.
         """
-        motion, model = self._motion(q, dq, ddq, base), self.model
+        motion, model, d = self._motion(q, dq, ddq, base), self.model, self.data
         # Rows last, so that the joints that carry nothing of a link take no memory.
         out = np.zeros((5, len(self.dof_adr), model.nv, len(q)))
         bodies = model.jnt_bodyid[model.dof_jntid[self.dof_adr]]
         with self._changed():
-            _sweep_links(self._memory, self._tree, *motion, bodies, out)
+            _sweep_links(self._memory, bodies, model.body_mass, d.xmat, d.cvel, *motion, out)
         return out
 
     def parted(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -141,15 +147,6 @@ class Dynamics:
         state = d.qpos, d.qvel, d.qacc, d.qfrc_passive
         return _Memory(*where, *state, model.dof_armature, *_dry_friction(model))
 
-    @property
-    def _tree(self) -> "_Tree":
-        model, d = self.model, self.data
-        return _Tree(
-            *(model.body_parentid, model.body_rootid, model.body_dofadr, model.body_dofnum),
-            *(model.body_mass, model.opt.gravity, d.subtree_com, d.xipos, d.xmat),
-            *(d.cdof, d.cdof_dot, d.cvel),
-        )
-
 
 class _Memory(NamedTuple):
     """Arrays that a sweep reads and writes.
@@ -179,23 +176,6 @@ class _Memory(NamedTuple):
     dry: np.ndarray
     stiff: np.ndarray
     lead: np.ndarray
-
-
-class _Tree(NamedTuple):
-    """Bodies of a model and their motion in its data, named as in MuJoCo."""
-
-    parent: np.ndarray  # (B,)
-    root: np.ndarray  # (B,)
-    dofadr: np.ndarray  # (B,)
-    dofnum: np.ndarray  # (B,)
-    mass: np.ndarray  # (B,)
-    gravity: np.ndarray  # (3,)
-    subtree_com: np.ndarray  # (B, 3)
-    xipos: np.ndarray  # (B, 3)
-    xmat: np.ndarray  # (B, 9)
-    cdof: np.ndarray  # (nv, 6)
-    cdof_dot: np.ndarray  # (nv, 6)
-    cvel: np.ndarray  # (B, 6)
 
 
 def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,34 +257,32 @@ def _sweep_about(memory, Q, V, A, qpos_adr, dof_adr, step, out):
         step: of the differences [rad, rad/s, rad/s^2].
         out: (3, J, N, nv), filled: by angle, rate and acceleration.
     """
-    qpos, qvel, qacc = memory.qpos, memory.qvel, memory.qacc
-    here, there = np.empty(len(qvel)), np.empty(len(qvel))
+    # In order of increasing recomputation.
+    varied = (
+        (memory.qacc, dof_adr, A, out[2]),
+        (memory.qvel, dof_adr, V, out[1]),
+        (memory.qpos, qpos_adr, Q, out[0]),
+    )
+    here, there = np.empty(len(memory.qvel)), np.empty(len(memory.qvel))
     for k in range(len(Q)):
         _take_motion(memory, Q[k], V[k], A[k])
         _fill_forces(memory, here)
-        # In order of increasing recomputation.
-        for j in range(len(dof_adr)):
-            qacc[dof_adr[j]] += step
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[2, j, k])
-            copy_row(A[k], qacc)
-        for j in range(len(dof_adr)):
-            qvel[dof_adr[j]] += step
-            _take_velocities(memory)
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[1, j, k])
-            copy_row(V[k], qvel)
-        for j in range(len(dof_adr)):
-            qpos[qpos_adr[j]] += step
-            _take_positions(memory)
-            _take_velocities(memory)
-            _fill_forces(memory, there)
-            _difference(there, here, step, out[0, j, k])
-            copy_row(Q[k], qpos)
+        for kind in range(3):
+            state, places, motion, slopes = varied[kind]
+            for j in range(len(places)):
+                state[places[j]] += step
+                if kind == 2:
+                    _take_positions(memory)
+                if kind >= 1:
+                    _take_velocities(memory)
+                _fill_forces(memory, there)
+                for i in range(len(there)):
+                    slopes[j, k, i] = (there[i] - here[i]) / step
+                copy_row(motion[k], state)
 
 
 @kernel(nogil=True)
-def _sweep_links(memory, tree, Q, V, A, bodies, out):
+def _sweep_links(memory, bodies, masses, xmat, cvel, Q, V, A, out):
     """Derivatives of the generalised forces of N motions by mass, centre and inertia of links.
 
     A point with the acceleration a takes a force a per unit of mass. Shifted along e, it gains the
@@ -312,93 +290,47 @@ def _sweep_links(memory, tree, Q, V, A, bodies, out):
 
     Args:
         memory: a _Memory.
-        tree: a _Tree.
+        bodies: (J,), of the links.
+        masses: of all bodies (B,) [kg].
+        xmat: their attitudes (B, 9), as in MuJoCo.
+        cvel: their velocities (B, 6), as in MuJoCo.
         Q: (N, nq), positions.
         V: (N, nv), velocities.
         A: (N, nv), accelerations.
-        bodies: (J,), of the links.
-        out: (5, J, nv, N), added to.
+        out: (5, J, nv, N), zeros; filled for the degrees of freedom that carry a link.
     """
-    moved = np.empty((len(tree.parent), 6))  # accelerations, about the tree's centre of mass
+    model, data, nv = memory.model, memory.data, V.shape[1]
+    moved = np.empty(6)  # angular acceleration, and acceleration of the centre of mass
+    shift, turn = np.empty((3, nv)), np.empty((3, nv))  # Jacobians of that centre and the body
     for k in range(len(Q)):
         _take_motion(memory, Q[k], V[k], A[k])
-        _fill_accelerations(memory, tree, moved)
+        _mj_rnePostConstraint(model, data)
         for j, body in enumerate(bodies):
-            centre, mass, R = tree.root[body], tree.mass[body], tree.xmat[body]
-            p = _minus(tree.xipos[body], tree.subtree_com[centre])
-            w, v = _halves(tree.cvel[body])
-            spin, rise = _halves(moved[body])
-            # a = rise + spin x p + w x (v + w x p)
-            a = _plus(_plus(rise, _cross(spin, p)), _cross(w, _plus(v, _cross(w, p))))
-            _add_wrench(tree, body, _cross(p, a), a, out[0, j, :, k])
-            for axis in range(3):
-                e = (mass * R[axis], mass * R[3 + axis], mass * R[6 + axis])
-                gained = _plus(_cross(spin, e), _cross(w, _cross(w, e)))
-                moment = _plus(_cross(e, a), _cross(p, gained))
-                _add_wrench(tree, body, moment, gained, out[1 + axis, j, :, k])
-            _add_wrench(tree, body, spin, (0.0, 0.0, 0.0), out[4, j, :, k])
+            _mj_objectAcceleration(model, data, _BODY, body, moved.ctypes.data, 0)
+            _mj_jacBodyCom(model, data, shift.ctypes.data, turn.ctypes.data, body)
+            spin, a = moved[:3], moved[3:]
+            w, mass, R = cvel[body], masses[body], xmat[body]
+            for dof in range(nv):
+                by_shift, by_turn = shift[:, dof], turn[:, dof]
+                if not (by_shift.any() or by_turn.any()):
+                    continue
+                out[0, j, dof, k] = _dot(by_shift, a)
+                out[4, j, dof, k] = _dot(by_turn, spin)
+                for axis in range(3):
+                    e = (mass * R[axis], mass * R[3 + axis], mass * R[6 + axis])
+                    lag, swing = _cross(spin, e), _cross(w, _cross(w, e))
+                    force = _dot(by_shift, lag) + _dot(by_shift, swing)
+                    out[1 + axis, j, dof, k] = force + _dot(by_turn, _cross(e, a))
 
 
 @kernel(nogil=True)
-def _fill_accelerations(memory, tree, moved):
-    """Spatial accelerations (B, 6) of the bodies as MuJoCo has them: gravity is an acceleration of
-    the world upwards.
-    """
-    for i in range(3):
-        moved[0, i], moved[0, 3 + i] = 0.0, -tree.gravity[i]
-    for body in range(1, len(moved)):
-        copy_row(moved[tree.parent[body]], moved[body])
-        first = tree.dofadr[body]
-        for dof in range(first, first + tree.dofnum[body]):
-            for i in range(6):
-                moved[body, i] += tree.cdof_dot[dof, i] * memory.qvel[dof]
-                moved[body, i] += tree.cdof[dof, i] * memory.qacc[dof]
-
-
-@kernel(nogil=True)
-def _add_wrench(tree, body, moment, force, out):
-    """Add the share of each degree of freedom that carries a body in a wrench on it.
-
-    Args:
-        tree: a _Tree.
-        body: its index.
-        moment: (3,) about the centre of mass of the tree, in world axes [N m].
-        force: (3,) in world axes [N].
-        out: (nv,), added to.
-    """
-    while body:
-        first = tree.dofadr[body]
-        for dof in range(first, first + tree.dofnum[body]):
-            for i in range(3):
-                out[dof] += tree.cdof[dof, i] * moment[i] + tree.cdof[dof, 3 + i] * force[i]
-        body = tree.parent[body]
-
-
-@kernel(nogil=True)
-def _halves(x):
-    return (x[0], x[1], x[2]), (x[3], x[4], x[5])
-
-
-@kernel(nogil=True)
-def _minus(a, b):
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-@kernel(nogil=True)
-def _plus(a, b):
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(nogil=True)
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@kernel(nogil=True)
-def _difference(there, here, step, out):
-    """(there - here) / step, all (nv,), into out."""
-    for i in range(len(out)):
-        out[i] = (there[i] - here[i]) / step
 
 
 @kernel(nogil=True)

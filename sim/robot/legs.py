@@ -76,16 +76,16 @@ def find_legs(model: mujoco.MjModel, name: str, feet: Mapping[str, str] | None =
     """
     with errors_in(f"robot {name}"):
         base = _floating_base(model)
-        data = _posed(model, "home")
+        data = posed(model, "home")
         if feet:
-            legs, chains, found = _named_legs(model, data, base, feet)
+            legs, chains, found = _named_legs(data, base, feet)
         else:
-            chains, found = _standing_chains(model, data, base)
+            chains, found = _standing_chains(data, base)
             order, legs = _named_by_place(model, base, chains)
             chains, found = [chains[i] for i in order], [found[i] for i in order]
         for chain, foot in zip(chains, found, strict=True):
             _refuse_what_is_no_hinge(model, base, foot.body)
-            _refuse_wheel(model, data, chain[-1])
+            _refuse_wheel(data, chain[-1])
         joints = [joint for chain in chains for joint in chain]
         if shared := [joint for joint in dict.fromkeys(joints) if joints.count(joint) > 1]:
             raise SurefootError(
@@ -112,7 +112,7 @@ def _floating_base(model: mujoco.MjModel) -> int:
     return int(model.jnt_bodyid[free[0]])
 
 
-def _posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
+def posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
     """The poses of all parts in a keyframe or, where there is none, with all joints at zero."""
     data = mujoco.MjData(model)
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, keyframe)
@@ -123,26 +123,25 @@ def _posed(model: mujoco.MjModel, keyframe: str = "") -> mujoco.MjData:
 
 
 def _named_legs(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int, feet: Mapping[str, str]
+    data: mujoco.MjData, base: int, feet: Mapping[str, str]
 ) -> tuple[tuple[str, ...], list[list[int]], list[Foot]]:
     """The legs that a map names, their chains and feet."""
-    found = [_named_foot(model, data, base, foot) for foot in feet.values()]
-    chains = [_chain_to(model, foot.body, base) for foot in found]
+    found = [_named_foot(data, base, foot) for foot in feet.values()]
+    chains = [_chain_to(data.model, foot.body, base) for foot in found]
     for leg, chain in zip(feet, chains, strict=True):
         if not chain:
             raise SurefootError(f"no hinge between the base and foot {leg}")
     return tuple(feet), chains, found
 
 
-def _standing_chains(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int
-) -> tuple[list[list[int]], list[Foot]]:
+def _standing_chains(data: mujoco.MjData, base: int) -> tuple[list[list[int]], list[Foot]]:
     """The chains that end in a foot, and their feet."""
+    model = data.model
     chains = [_chain_to(model, int(model.jnt_bodyid[j]), base) for j in _last_hinges(model)]
-    feet = [_foot_of(model, data, base, chain) for chain in chains]
+    feet = [_foot_of(data, base, chain) for chain in chains]
     pairs = [(c, f) for c, f in zip(chains, feet, strict=True) if f is not None]
     sure = [(chain, foot) for chain, foot in pairs if not foot.rod]
-    soles = [] if sure else _sole_frames(model, data)
+    soles = [] if sure else _sole_frames(data)
     if soles:  # a description without shapes
         return [_chain_to(model, foot.body, base) for foot in soles], soles
     if [len(chain) for chain, _ in sure] == [3, 3, 3, 3]:  # a quadruped
@@ -220,14 +219,11 @@ def _refuse_what_is_no_hinge(model: mujoco.MjModel, base: int, foot: int) -> Non
             )
 
 
-def _refuse_wheel(model: mujoco.MjModel, data: mujoco.MjData, hinge: int) -> None:
-    """Raise SurefootError where a round mesh turns about the last hinge of a leg.
-
-    Args:
-        model: compiled.
-        data: in the home pose.
-        hinge: the last of a leg.
+def _refuse_wheel(data: mujoco.MjData, hinge: int) -> None:
+    """Raise SurefootError where a round mesh turns about the last hinge of a leg, in the home
+    pose.
     """
+    model = data.model
     axle, link = data.xaxis[hinge], int(model.jnt_bodyid[hinge])
     of_link = (model.geom_bodyid == link) & (model.geom_type == _MESH)
     for geom in np.flatnonzero(of_link & _collides(model)).tolist():
@@ -256,9 +252,7 @@ def _hinges(model: mujoco.MjModel) -> list[int]:
     return [joint for joint in hinges if not _is_spring(model, joint)]
 
 
-def _foot_of(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int]
-) -> Foot | None:
+def _foot_of(data: mujoco.MjData, base: int, chain: list[int]) -> Foot | None:
     """The foot on the last link of a chain; None if it has no shape to stand on.
 
     In legs that position a point, the shape that reaches farthest from the last hinge. In others,
@@ -266,50 +260,44 @@ def _foot_of(
     underside of all of these. Without spheres and flat shapes, that of lying rods, else the end of
     a capsule.
     """
-    link = int(model.jnt_bodyid[chain[-1]])
+    model, link = data.model, int(data.model.jnt_bodyid[chain[-1]])
     solid = np.flatnonzero(_collides(model)).tolist()
     shapes = [g for g in solid if _is_fixed_to(model, model.geom_bodyid[g], link)]
     if len(chain) <= POINT_HINGES:
-        return _point_foot(model, data, base, chain, shapes)
+        return _point_foot(data, base, chain, shapes)
     spheres = [g for g in shapes if model.geom_type[g] == _SPHERE]
     flat = [g for g in shapes if model.geom_type[g] in _FLAT]
     rods = [g for g in shapes if model.geom_type[g] in _RODS]
     if spheres:
         hinge = data.xanchor[chain[-1]]
-        lowest = {g: float(outline_G(model, data, g)[:, 2].min()) for g in spheres + flat}
+        lowest = {g: float(outline_G(data, g)[:, 2].min()) for g in spheres + flat}
         ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)))
         if all(lowest[g] >= lowest[ball] + SOLE_LEVEL for g in lowest if g != ball):
-            return _sphere_foot(model, data, ball)
+            return _sphere_foot(data, ball)
     if spheres or flat:
-        return _sole(model, data, base, spheres + flat)
+        return _sole(data, base, spheres + flat)
     lying = [g for g in rods if abs(data.geom_xmat[g, 8]) < 0.5 and not _is_about(data, g, chain)]
     if lying:
-        return replace(_sole(model, data, base, lying), rod=True)
+        return replace(_sole(data, base, lying), rod=True)
     capsules = [g for g in rods if model.geom_type[g] == _CAPSULE]
-    return _point_foot(model, data, base, chain, capsules)
+    return _point_foot(data, base, chain, capsules)
 
 
-def _point_foot(
-    model: mujoco.MjModel, data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]
-) -> Foot | None:
+def _point_foot(data: mujoco.MjData, base: int, chain: list[int], shapes: list[int]) -> Foot | None:
     """The shape that reaches farthest from the last hinge, a sphere before others that reach about
     as far: as a ball in its end, or the underside of boxes. None without shapes.
 
     A cylinder on a hinge's axis may be a wheel, and is no foot.
 
-    Args:
-        model: compiled.
-        data: in the home pose.
-        base: the floating body.
-        chain: the joints of the leg.
-        shapes: all that collide on its last link.
+    shapes: all that collide on its last link.
     """
+    model = data.model
     hinge, axle = data.xanchor[chain[-1]], data.xaxis[chain[-1]]
     reach = {}
     for g in shapes:
         kind = model.geom_type[g]
         if kind in _FEET and not (kind == _CYLINDER and _is_about(data, g, chain)):
-            outline = outline_G(model, data, g)
+            outline = outline_G(data, g)
             reach[g] = float(np.linalg.norm(outline - hinge, axis=1).max())
     if not reach:
         return None
@@ -317,14 +305,14 @@ def _point_foot(
     spheres = [g for g in reach if model.geom_type[g] == _SPHERE]
     ball = max(spheres, key=lambda g: float(np.linalg.norm(data.geom_xpos[g] - hinge)), default=-1)
     if spheres and reach[ball] > reach[last] - SOLE_LEVEL:
-        return _sphere_foot(model, data, ball)
+        return _sphere_foot(data, ball)
     if model.geom_type[last] == _BOX:
-        return _sole(model, data, base, [g for g in reach if model.geom_type[g] in _FLAT])
-    outline = outline_G(model, data, last) - hinge
+        return _sole(data, base, [g for g in reach if model.geom_type[g] in _FLAT])
+    outline = outline_G(data, last) - hinge
     if model.geom_type[last] == _MESH:
         centre, radius = _tip(outline, axle)
     else:
-        centre, radius = _round_end(model, data, last, hinge)
+        centre, radius = _round_end(data, last, hinge)
     body = int(model.geom_bodyid[last])
     place = data.xmat[body].reshape(3, 3).T @ (hinge + centre - data.xpos[body])
     along = centre / np.linalg.norm(centre)
@@ -334,24 +322,20 @@ def _point_foot(
     return Foot(body, place, radius, float(np.hypot(radius, wide)), bottom=bottom, rod=rod)
 
 
-def _sphere_foot(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> Foot:
+def _sphere_foot(data: mujoco.MjData, geom: int) -> Foot:
+    model = data.model
     place, radius = model.geom_pos[geom].copy(), float(model.geom_size[geom, 0])
     bottom = float(data.geom_xpos[geom, 2]) - radius
     return Foot(int(model.geom_bodyid[geom]), place, radius, radius, bottom=bottom)
 
 
-def _round_end(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: int, hinge: np.ndarray
-) -> tuple[np.ndarray, float]:
+def _round_end(data: mujoco.MjData, geom: int, hinge: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre (3,) relative to a hinge and radius of a ball [m]: that in the end of a rod which is
     farther from the hinge, or that about an ellipsoid's centre which touches its lowest point.
 
-    Args:
-        model: compiled.
-        data: in the home pose.
-        geom: the shape.
-        hinge: (3,) m in G.
+    hinge: (3,) m in G.
     """
+    model = data.model
     centre, axes_G = data.geom_xpos[geom] - hinge, data.geom_xmat[geom].reshape(3, 3)
     if model.geom_type[geom] == _ELLIPSOID:
         return centre, float(np.linalg.norm(axes_G[2] * model.geom_size[geom]))
@@ -398,16 +382,16 @@ def _tip(points: np.ndarray, axle: np.ndarray) -> tuple[np.ndarray, float]:
     return centre, radius
 
 
-def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[int]) -> Foot:
+def _sole(data: mujoco.MjData, base: int, shapes: list[int]) -> Foot:
     """The underside of the lowest of some shapes of one link: that of their bounding box along the
     very lowest's axes.
     """
-    outlines_G = {g: outline_G(model, data, g) for g in shapes}
+    outlines_G = {g: outline_G(data, g) for g in shapes}
     lowest = {g: float(points_G[:, 2].min()) for g, points_G in outlines_G.items()}
     first = min(shapes, key=lambda g: lowest[g])
     level = lowest[first] + SOLE_LEVEL
     points_G = np.concatenate([outlines_G[g] for g in shapes if lowest[g] < level])
-    axes_G = _axes_G(model, data, first)
+    axes_G = _axes_G(data, first)
     down = int(np.argmax(np.abs(axes_G[2])))
     along = points_G @ axes_G
     low, high = along.min(axis=0), along.max(axis=0)
@@ -417,21 +401,15 @@ def _sole(model: mujoco.MjModel, data: mujoco.MjData, base: int, shapes: list[in
     sides = [a for a in range(3) if a != down]
     sides.sort(key=lambda a: -abs(float(axes_G[:, a] @ forward_G)))
     half = 0.5 * (high - low)[sides]
-    body = int(model.geom_bodyid[first])
+    body = int(data.model.geom_bodyid[first])
     place = data.xmat[body].reshape(3, 3).T @ (axes_G @ middle - data.xpos[body])
     reach, bottom = float(np.linalg.norm(half)), float(points_G[:, 2].min())
     return Foot(body, place, 0.0, reach, (float(half[0]), float(half[1])), bottom)
 
 
-def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: str) -> Foot:
-    """The foot that a map names: a site's position, a body's shapes, or a bare body's origin.
-
-    Args:
-        model: compiled.
-        data: in its home pose.
-        base: the floating body.
-        named: the body or site.
-    """
+def _named_foot(data: mujoco.MjData, base: int, named: str) -> Foot:
+    """The foot that a map names: a site's position, a body's shapes, or a bare body's origin."""
+    model = data.model
     site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, named)
     if site >= 0:
         return Foot(int(model.site_bodyid[site]), model.site_pos[site].copy())
@@ -440,15 +418,15 @@ def _named_foot(model: mujoco.MjModel, data: mujoco.MjData, base: int, named: st
         raise SurefootError(f"has no body or site '{named}' for a foot")
     chain = _chain_to(model, body, base)
     ends = chain and _is_fixed_to(model, body, int(model.jnt_bodyid[chain[-1]]))
-    shaped = _foot_of(model, data, base, chain) if ends else None
+    shaped = _foot_of(data, base, chain) if ends else None
     return shaped if shaped and shaped.body == body else Foot(body, np.zeros(3))
 
 
-def _sole_frames(model: mujoco.MjModel, data: mujoco.MjData) -> list[Foot]:
+def _sole_frames(data: mujoco.MjData) -> list[Foot]:
     """Bodies named as a sole, such as `l_sole`, as in descriptions of humanoids."""
-    names = [model.body(b).name for b in range(model.nbody)]
-    soles = [b for b, one in enumerate(names) if one.lower().endswith("_sole")]
-    return [Foot(b, np.zeros(3), bottom=float(data.xpos[b][2])) for b in soles]
+    bodies = (data.body(b) for b in range(data.model.nbody))
+    soles = [body for body in bodies if body.name.lower().endswith("_sole")]
+    return [Foot(body.id, np.zeros(3), bottom=float(body.xpos[2])) for body in soles]
 
 
 def _is_fixed_to(model: mujoco.MjModel, body: int, link: int) -> bool:
@@ -470,14 +448,9 @@ def _collides(model: mujoco.MjModel) -> np.ndarray:
     return collides if collides.any() else model.geom_type != _MESH
 
 
-def outline_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Vertices (N, 3) [m] in G of a mesh, or corners of another shape's bounding box.
-
-    Args:
-        model: compiled.
-        data: with the poses of its shapes.
-        geom: the shape.
-    """
+def outline_G(data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Vertices (N, 3) [m] in G of a mesh, or corners of another shape's bounding box."""
+    model = data.model
     if model.geom_type[geom] == _MESH:
         mesh = model.mesh(int(model.geom_dataid[geom]))
         first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
@@ -486,13 +459,13 @@ def outline_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarr
     middle, half = np.split(model.geom_aabb[geom], 2)
     if model.geom_type[geom] == _SPHERE:  # as low however it is turned
         return data.geom_xpos[geom] + half * _CORNERS
-    return data.geom_xpos[geom] + (middle + half * _CORNERS) @ _axes_G(model, data, geom).T
+    return data.geom_xpos[geom] + (middle + half * _CORNERS) @ _axes_G(data, geom).T
 
 
-def _axes_G(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+def _axes_G(data: mujoco.MjData, geom: int) -> np.ndarray:
     """Axes (3, 3) of a shape, in columns, in G; of a rod, which is round, with one horizontal."""
     axes_G = data.geom_xmat[geom].reshape(3, 3)
-    if model.geom_type[geom] not in _RODS:
+    if data.model.geom_type[geom] not in _RODS:
         return axes_G
     rod = axes_G[:, 2]
     side = np.cross([0.0, 0.0, 1.0], rod)
@@ -509,7 +482,7 @@ def _named_by_place(
 
     Four are FL, FR, RL, RR, two left, right; others are named after their first body.
     """
-    data = _posed(model)
+    data = posed(model)
     R = data.xmat[base].reshape(3, 3)
     hips = [data.xanchor[chain[min(1, len(chain) - 1)]] for chain in chains]
     places = np.array([R.T @ (hip - data.xpos[base]) for hip in hips])
@@ -562,7 +535,7 @@ def _limbs(
         joints: all of the robot's, those of the legs first.
         feet: of the legs.
     """
-    names, data = [model.joint(j).name for j in joints], _posed(model)
+    names, data = [model.joint(j).name for j in joints], posed(model)
     if legs == LEGS and all(len(chain) == 3 for chain in chains):
         names[:12] = JOINTS
         if len(joints) == 12:

@@ -146,27 +146,27 @@ class Robot:
         Joints of no leg that the log lacks keep their position in the model. Raises SurefootError
         where the log lacks a joint of a leg, or has a joint or leg that the robot does not.
         """
-        own, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
-        legs = log.legs or own.legs
-        refuse_foreign(joints, own.joints, f"{log.name}: joint", self.name)
-        refuse_foreign(legs, own.legs, f"{log.name}: leg", self.name)
-        needed = [own.joints[joint] for chain in own.chains for joint in chain]
+        limbs, joints = self.limbs, log.joints if log.has("q") else self.limbs.joints
+        legs = log.legs or limbs.legs
+        refuse_foreign(joints, limbs.joints, f"{log.name}: joint", self.name)
+        refuse_foreign(legs, limbs.legs, f"{log.name}: leg", self.name)
+        needed = [limbs.joints[joint] for chain in limbs.chains for joint in chain]
         lacking = [f"q_{n}" for n in needed if n not in joints] or [
-            f"contact_{leg}" for leg in own.legs if leg not in legs
+            f"contact_{leg}" for leg in limbs.legs if leg not in legs
         ]
         if lacking:
             raise SurefootError(f"{log.name}: the log of {self.name} lacks {', '.join(lacking)}")
-        if joints == own.joints and legs == own.legs:
+        if joints == limbs.joints and legs == limbs.legs:
             return self
-        at = {own.joints.index(name): place for place, name in enumerate(joints)}
-        kept, order = list(at), [own.legs.index(leg) for leg in legs]
-        chains = tuple(tuple(at[joint] for joint in own.chains[leg]) for leg in order)
-        constants, drawn = (Legs(*(x[order] for x in own)) for own in (self.legs, self.drawn))
+        at = {limbs.joints.index(name): place for place, name in enumerate(joints)}
+        kept, order = list(at), [limbs.legs.index(leg) for leg in legs]
+        chains = tuple(tuple(at[joint] for joint in limbs.chains[leg]) for leg in order)
+        constants, drawn = (Legs(*(x[order] for x in one)) for one in (self.legs, self.drawn))
         for leg, chain in enumerate(chains):
             constants.joints[leg, : len(chain)] = drawn.joints[leg, : len(chain)] = chain
         return replace(
             self,
-            limbs=Limbs(legs, joints, chains, own.links),
+            limbs=Limbs(legs, joints, chains, limbs.links),
             legs=constants,
             drawn=drawn,
             joint_names=tuple(self.joint_names[j] for j in kept),
@@ -199,7 +199,8 @@ class Robot:
     @property
     def dynamics(self) -> Dynamics:
         """As of `Machine`: of its file, with the declared geometry and links."""
-        return dynamics_of(self.file, self.joint_names, _body_changes(self))
+        changes = BodyChanges((self.drawn, self.legs), self.extras.links)
+        return dynamics_of(self.file, self.joint_names, changes)
 
     @property
     def legged(self) -> "Robot":
@@ -270,21 +271,6 @@ class Robot:
         if q.ndim != 2 or q.shape[1] != len(self.limbs.joints):
             raise ValueError(f"q must be (N, {len(self.limbs.joints)}), is {q.shape}")
         return feet(self.legs, q, self.R_BI, self.p_BI)[:2]
-
-
-def _body_changes(robot: Robot) -> BodyChanges:
-    """Deviation of a robot's declared model from its file."""
-    here, there, links = robot.legs, robot.drawn, robot.extras.links
-    if np.array_equal(here.offset, there.offset) and np.array_equal(here.rotation, there.rotation):
-        return BodyChanges(links=links)
-    joints = len(robot.limbs.joints)
-    drawn, placed = np.zeros((2, joints, 3))
-    turn = np.tile(np.eye(3), (joints, 1, 1))
-    for leg, chain in enumerate(robot.limbs.chains):
-        for j, joint in enumerate(chain):
-            drawn[joint], placed[joint] = there.offset[leg, j], here.offset[leg, j]
-            turn[joint] = here.rotation[leg, j] @ there.rotation[leg, j].T
-    return BodyChanges(drawn, placed, turn, links)
 
 
 def _imu_site(model: mujoco.MjModel, base: int) -> int:

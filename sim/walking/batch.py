@@ -15,7 +15,7 @@ from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
-from surefoot.sim.walk import Fallen, Plan, plan, record, simulate_motion
+from surefoot.sim.walk import Plan, plan, walk_planned
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -32,36 +32,18 @@ class Job:
     declared: bool = True
 
 
-@dataclass(frozen=True)
-class Walked:
-    """A finished walk, with its plan."""
-
-    job: Job
-    plan: Plan
-    log: Log | Fallen
-
-
 class _Stopped(Exception):
     """The batch has ended, so its remaining walks stop."""
 
 
-def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Walked:
-    """Simulate one walk; a fall is a result too. `progress` is called with the share done."""
-    return walk_planned(job, plan_of(job), progress)
+def walk_job(job: Job, progress: Callable[[float], None] | None = None) -> Log:
+    """Simulate one walk, as `sim.walk.walk` does."""
+    return walk_planned(plan_of(job), progress)
 
 
 def plan_of(job: Job) -> Plan:
     """The plan of a walk."""
     return plan(job.scenario, known_robot(job.robot), job.seed, job.effects, job.declared)
-
-
-def walk_planned(job: Job, made: Plan, progress: Callable[[float], None] | None = None) -> Walked:
-    """Simulate the walk of a job along its plan, as `walk_job` does."""
-    try:
-        motion = simulate_motion(made.world, made.robot, made.gait, made.course, progress)
-    except Fallen as fall:
-        return Walked(job, made, fall)
-    return Walked(job, made, record(made, motion))
 
 
 @lru_cache(maxsize=16)

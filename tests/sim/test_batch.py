@@ -36,8 +36,8 @@ def test_a_batch_gives_the_bits_of_walks_alone():
         Job(ROUGH, "spot_class", 1),
     ]
     logs = {}
-    for walked in on_threads(jobs, walk_job, threads=3):
-        logs[walked.job.scenario.name, walked.job.robot, walked.job.seed] = walked.log
+    for log in on_threads(jobs, walk_job, threads=3):
+        logs[log.meta.scenario, log.meta.robot, log.meta.seed] = log
     assert len(logs) == len(jobs)
     for job in jobs:
         alone = walk(job.scenario, Robot.load(job.robot), job.seed)
@@ -47,10 +47,10 @@ def test_a_batch_gives_the_bits_of_walks_alone():
 
 
 def test_progress_never_falls_and_ends_at_one():
-    told = []
-    list(on_threads([Job(ROUGH, "spot_class", s) for s in (0, 1)], walk_job, 2, told.append))
-    assert told == sorted(told)
-    assert told[-1] == pytest.approx(1.0)
+    shares = []
+    list(on_threads([Job(ROUGH, "spot_class", s) for s in (0, 1)], walk_job, 2, shares.append))
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
 
 
 def test_an_error_stops_the_walks_that_are_on():

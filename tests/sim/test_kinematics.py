@@ -124,9 +124,9 @@ def test_slopes_skip_work_and_nothing_else(robot):
     """What is not recomputed changes no bit of a difference."""
     rng, step = np.random.default_rng(5), 1e-5
     motion = list(rng.standard_normal((3, 6, 12)))
-    base, turn = rng.standard_normal((6, 9)), np.tile(np.eye(3), (12, 1, 1))
-    shift = BodyChanges(np.zeros((12, 3)), 0.01 * rng.standard_normal((12, 3)), turn)
-    dynamics = replace(robot.dynamics, changes=shift)
+    base, legs = rng.standard_normal((6, 9)), robot.legs
+    moved = legs._replace(offset=legs.offset + 0.01 * rng.standard_normal((4, 3, 3)))
+    dynamics = replace(robot, legs=moved).dynamics
     before = dynamics.inverse(motion[0], motion[1], motion[2], base)
     slopes = dynamics.derivatives(motion[0], motion[1], motion[2], base, step)
     for kind in range(3):
