@@ -26,9 +26,9 @@ from surefoot.scenarios.reporting.tables import in_terminal
 from surefoot.scenarios.settings import WalksSettings
 from surefoot.scenarios.stages import percent_bar, processes, submitted
 from surefoot.scenarios.trace.report import sections as trace_sections
+from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace
-from surefoot.scenarios.trace.words import summary
 from surefoot.scenarios.training.many_walks import SUITE, many_walks
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import check_space, refuse_full, whole_folder

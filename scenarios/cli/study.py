@@ -43,8 +43,8 @@ class TraceCommand(TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     def run(self) -> None:
+        from surefoot.scenarios.trace.report import summary
         from surefoot.scenarios.trace.run import trace_files
-        from surefoot.scenarios.trace.words import summary
 
         found = trace_files(self)
         print(summary(found))

@@ -35,6 +35,7 @@ from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import ErrorParts, error_parts, learnt_from_measured
 from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
+from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
@@ -46,7 +47,6 @@ from surefoot.scenarios.trace.training_walks import (
     style_that_walks,
     with_style_share,
 )
-from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.models.residuals.channels import channels
-from surefoot.scenarios.reporting.html import Picture, Section, write_report
+from surefoot.scenarios.reporting.html import Picture, Section, markdown_report, write_report
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
 from surefoot.scenarios.reporting.plotting import label_decades, legend_below, single_axes
 from surefoot.scenarios.reporting.tables import Table
@@ -34,6 +34,8 @@ from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects.file import save_effects
 from surefoot.sim.robot.machine import Machine
 
+_EVERY_METRIC = "Every metric of the filters"
+
 
 def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     """Write the trace's files into an empty folder."""
@@ -49,6 +51,12 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     save_effects(out / "effects.toml", effects, limbs=robot.limbs)
     text = json.dumps(found.as_dict(), indent=2, allow_nan=False) + "\n"
     write_whole(out / "trace.json", text)
+
+
+def summary(found: Trace) -> str:
+    """The report for a terminal, without the second table of the filters."""
+    shown = [one for one in sections(found) if one.heading != _EVERY_METRIC]
+    return markdown_report(f"verdict: {found.verdict}: {headline(found)}", shown).rstrip()
 
 
 def sections(found: Trace) -> list[Section]:
@@ -109,9 +117,12 @@ def _of_filters(found: Trace) -> list[Section]:
         if found.held_out
         else "Over the end of each log, which is partly fitted; --holdout LOG checks on other logs"
     )
-    words = f"{where}. Before: the declared model. After: with the effects found."
+    words = [f"{where}. Before: the declared model. After: with the effects found."]
+    for one in found.stretches:
+        sides = zip(("before", "after"), one.lost, strict=True)
+        words += [f"{one.log.name} {side}: {why}" for side, why in sides if why]
     rows = filter_rows(found.judged_filters, FIRST)
-    parts = _given("Filters before and after", [words], rows)
+    parts = _given("Filters before and after", words, rows)
     if found.causes:
         drifts = {
             "as declared": found.causes.declared,
@@ -150,7 +161,7 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         *_given("What the remaining residual correlates with", left),
         *_given("What these logs cannot show", lacking),
         *_given("What is assumed", assumed),
-        *_given("Every metric of the filters", [], every),
+        *_given(_EVERY_METRIC, [], every),
         *_given("Zeros and clocks of each run", [], zeros),
         *_given("Considered and rejected", [], rejected),
         *_given("Least changes that would have been named in 95 of 100 such logs", [], least),

@@ -1,4 +1,4 @@
-"""Result of a trace in sentences, for the screen and the report: what matters most comes first."""
+"""Result of a trace in sentences: what matters most comes first."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from surefoot.models.attribution.data import LACKING
-from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.reporting.tables import cell
 from surefoot.scenarios.trace.filters import (
@@ -30,9 +29,7 @@ VERDICTS = {
 _PLURALS = {"joint": "joints", "link": "links", "leg": "legs", "leg_link": "links"}
 """Kind of target that has groups (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
-"""Share of the squared residual that an effect outside its bounds must explain to be mentioned, and
-of the leg filter's drift that an effect found must add.
-"""
+"""Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
 DRIFT_PARTS = {
     "RPE [mm]": 1e3,
@@ -43,8 +40,6 @@ DRIFT_PARTS = {
 """Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
 FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
 """Metrics of a filter that are shown first."""
-_SAME = 0.02
-"""Relative change of a residual up to which the screen does not give it a line of its own."""
 
 
 def motion_to_distinguish(names: Sequence[str]) -> str:
@@ -61,19 +56,6 @@ def headline(found: Trace) -> str:
         what = "1 effect explains" if len(effects) == 1 else f"{len(effects)} effects explain"
         return f"{what} a part of the residual, and no effect of the catalogue the rest"
     return VERDICTS[found.verdict].format(several)
-
-
-def sizes_in_words(found: Trace, ones: Sequence[Found]) -> list[str]:
-    """Effects of a trace with sizes and intervals, in suitable multiples of their units.
-
-    For example 'encoder_offset FL_thigh +19.8 mrad (95 % interval +19.1 .. +20.4)'.
-    """
-    lines = []
-    for one in ones:
-        factor, _ = _scale(found, one.effect.name, one.effect.target)
-        low, high = (factor * x for x in one.interval)
-        lines.append(f"{_sized(found, one.effect)} (95 % interval {low:+.3g} .. {high:+.3g})")
-    return lines
 
 
 def _sized(found: Trace, one: Effect) -> str:
@@ -155,81 +137,6 @@ def ranked_notes(found: Trace) -> tuple[list[str], list[str], list[str]]:
         of_result = {note, note.partition(":")[0]} & urgent
         (first if of_result else lacking if without else assumed).append(note)
     return first, lacking, assumed
-
-
-def summary(found: Trace) -> str:
-    """The output of `surefoot trace`, in the order of the report."""
-    lines = [f"verdict: {found.verdict}: {headline(found)}"]
-    lines += [f"  because {why}" for why in found.reasons]
-    lines += [f"  or {r['name']} {r['target']} (overlap {r['overlap']:.2f})" for r in found.rivals]
-    if found.rivals:
-        lines.append(f"  to distinguish them: {found.motion}")
-    where = "held-out logs, used by no fit" if found.held_out else "the parts used by no fit"
-    if found.channels:
-        over = f"root mean square of means over {1e3 * found.averaged_over:.0f} ms"
-        lines += [f"residual on {where} ({over}):", *_channel_lines(found.unseen_channels)]
-    lines += ["next:"] if found.steps else []
-    for number, step in enumerate(found.steps, 1):
-        lines.append(f"  {number}. {step.words}{': ' if step.command else ''}{step.command}")
-    if found.judged_filters:
-        fitted = "the end of each log, which was fitted too"
-        lines.append(f"filters on {where if found.held_out else fitted}:")
-        for row in filter_rows(found.judged_filters, FIRST):
-            (_, name), *metrics, (_, effect) = row.items()
-            changes = ", ".join(f"{metric} {change}" for metric, change in metrics)
-            lines.append(f"  {name}: {changes}: {effect}")
-    for one in found.stretches:
-        sides = zip(("before", "after"), one.lost, strict=True)
-        lines += [f"  {one.log.name} {side}: {why}" for side, why in sides if why]
-    if found.causes and found.causes.added[0][1][0] > _MUCH * found.causes.declared[0]:
-        one, drift = found.causes.added[0]
-        parts = zip(DRIFT_PARTS.items(), drift, strict=True)
-        added = ", ".join(f"{name} {factor * x:+.2g}" for (name, factor), x in parts)
-        lines.append(f"  most drift of the leg filter is by {one.name} {one.target}: {added}")
-    lines += [f"found {one}" for one in sizes_in_words(found, found.found)]
-    for number, run in enumerate(found.runs, 1):
-        zeros = [one for one in run.zeros if one.effect in run.compensated]
-        lines += [f"run {number} has {one}" for one in sizes_in_words(found, zeros)]
-    lines += [*beyond_bounds(found), *unexplained_in_words(found), *least_changes(found)]
-    first, lacking, assumed = ranked_notes(found)
-    lines += [f"note: {note}" for note in first]
-    lines += [f"note: {'; '.join(ones)}" for ones in (lacking, assumed) if ones]
-    return "\n".join(lines)
-
-
-def least_changes(found: Trace) -> list[str]:
-    """For each effect, the least change that would have been named, on the part where it is
-    smallest and where it is largest.
-    """
-    by_name: dict[str, list[tuple[float, str]]] = {}
-    for (name, target), least in found.least.items():
-        by_name.setdefault(name, []).append((least, target))
-    lines = ["would have been named, of 100 such changes 95, from:"] if by_name else []
-    for name, sizes in by_name.items():
-        ends = []
-        for least, target in dict.fromkeys((min(sizes), max(sizes))):
-            factor, unit = _scale(found, name, target)
-            ends.append(f"{factor * least:.3g} {unit} ({target})")
-        lines.append(f"  {name} {' to '.join(ends)}")
-    return lines
-
-
-def _channel_lines(channels: Mapping[str, ChannelLevel]) -> list[str]:
-    """A line for each channel that changes or is above its floor, and one for others in a state."""
-    shown = {name: c for name, c in channels.items() if not c.at_floor or c.worse or _moved(c)}
-    width, lines, others = max(map(len, shown), default=0), [], {}
-    for name, c in channels.items():
-        if name not in shown:
-            others.setdefault(state_of(c), []).append(name)
-            continue
-        floor = "unknown" if c.noise_floor is None else f"{c.noise_floor:.3g}"
-        change = f"{c.before:.3g} → {c.after:.3g} {c.unit}"
-        lines.append(f"  {name:{width}s} {change}, noise floor {floor}: {state_of(c)}")
-    return lines + [f"  as before, {state}: {', '.join(names)}" for state, names in others.items()]
-
-
-def _moved(level: ChannelLevel) -> bool:
-    return abs(level.after - level.before) > _SAME * level.before
 
 
 def filter_rows(filters: Filters, metrics: Collection[str]) -> list[dict[str, str]]:
