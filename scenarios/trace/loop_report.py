@@ -252,13 +252,7 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     """
     ranked = table[[not traits(name).floor for name in table["filter"]]].set_index("filter")
     errors = {name: ranked[f"APE_trans [m] {name}"].dropna() for name in worlds}
-    first, last = worlds[0], worlds[-1]
-    gain = (ranked[f"APE_trans [m] {last}"] < ranked[f"APE_trans [m] {first}"]).sum()
-    main = (
-        f"With what `trace` found put into the simulation, {gain} of {len(errors[first])} filters "
-        "have a lower position error on the measured walk."
-    )
-    rest = [helped(table, worlds)]
+    rest = []
     best = [f"`{e.idxmin()}` {name} ({e.min():.3f} m)" for name, e in errors.items()]
     rest.append(f"The lowest errors are those of {', '.join(best)}.")
     form = "{name} of {target}, {value:.4g} {unit}"
@@ -271,27 +265,25 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     for name, shares in zip(held.index, held.to_numpy(), strict=True):
         of = [f"{share:.1f} % {world}" for share, world in zip(shares, worlds, strict=True)]
         rest.append(f"The bounds of `{name}` contain {', '.join(of)} of the measured errors.")
-    return f"{main}\n\n{' '.join(rest)}"
+    return f"{helped(table, worlds)}\n\n{' '.join(rest)}"
 
 
 def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
-    """One sentence: which filters have a lower position error in the last world than in the first.
+    """One sentence: how many filters have a lower position error in the last world than in the
+    first.
 
     Args:
         table: errors of every filter in every world.
         worlds: their names.
     """
-    first, last = worlds[0], worlds[-1]
-    if first == last:
-        return "Whether it helps is not known: there is one simulated world only."
-    names = "filter", f"APE_trans [m] {first}", f"APE_trans [m] {last}"
-    said: dict[str, list[str]] = {"helped": [], "did not help": []}
-    for name, before, after in table[list(names)].dropna().itertuples(index=False):
-        if not traits(name).floor:
-            how = "helped" if after < before else "did not help"
-            said[how].append(f"`{name}` ({before:.3f} m before, {after:.3f} m after)")
-    parts = (f"{how} {', '.join(those)}" for how, those in said.items() if those)
-    return f"The loop {', and '.join(parts) or 'has no filter to compare'}."
+    if len(worlds) < 2:
+        return "Whether the loop helps is not known: there is one simulated world only."
+    ranked = table[[not traits(name).floor for name in table["filter"]]]
+    before, after = (ranked[f"APE_trans [m] {world}"] for world in (worlds[0], worlds[-1]))
+    return (
+        f"With what `trace` found put into the simulation, {(after < before).sum()} of "
+        f"{before.notna().sum()} filters have a lower position error on the measured walk."
+    )
 
 
 def _method(worlds: Sequence[LoopWorld]) -> str:
