@@ -270,26 +270,26 @@ class View(OutputSettings):
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
-        from surefoot.sim.common.files import is_there
-
         path = Path(self.file)
         if path.suffix in (".rrd", ".parquet"):
             file_there(path)
-        elif path.suffix == ".toml":
-            scenario_file(path)
-        elif not is_there(path) and self.file not in bundled_scenarios():
+        elif path.suffix == ".toml" or self.file in bundled_scenarios():
+            scenario_file(self.file)
+        else:
             hint = did_you_mean(self.file, bundled_scenarios())
-            what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
-            raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
+            raise SurefootError(
+                f"{self.file}: view opens recordings (.rrd), logs (.parquet) and scenarios (.toml "
+                f"or bundled); `surefoot robots FILE -o PICTURE.png` draws a robot{hint}"
+            )
+        if path.suffix == ".rrd" and self.out:
+            raise SurefootError(f"-o: {self.file} is a recording already")
         from surefoot.scenarios.viewer.view import view, write_preview
 
         with TemporaryDirectory(prefix="surefoot_") as folder:
             shown = path
-            if path.suffix in (".parquet", ".toml") or not is_there(path):
+            if path.suffix != ".rrd":
                 shown = self.out or Path(folder) / f"{path.stem}.rrd"
                 write_preview(self.file, shown, self.robot, self.seed, self.force)
-            elif self.out:
-                raise SurefootError(f"-o: {self.file} is a recording already")
             print(shown) if self.out else view(shown, self.web)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.estimate.error_series import QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
     INK,
@@ -165,14 +165,6 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     set_title(ax, "Position error, and each filter's own 3σ (dashed)")
     legend_below(figure, ax, columns=2)
     return figure
-
-
-QUANTITIES = (
-    ("position", "position [m]", "xyz", 1.0),
-    ("attitude", "attitude [deg]", ("roll", "pitch", "yaw"), np.degrees(1.0)),
-    ("velocity", "velocity [m/s]", ("forward", "left", "up"), 1.0),
-)
-"""Field of an ErrorSeries, its title, its axes, and the factor to the unit of the title."""
 
 
 def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:
