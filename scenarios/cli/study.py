@@ -5,6 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+import surefoot
 from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
@@ -43,11 +44,10 @@ class TraceCommand(TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     def run(self) -> None:
-        from surefoot.scenarios.trace.report import summary
         from surefoot.scenarios.trace.run import trace_files
 
         found = trace_files(self)
-        print(summary(found))
+        print(surefoot.trace_summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
@@ -64,11 +64,9 @@ class LoopCommand(LoopSettings, TraceInputs):
         from surefoot.scenarios.trace.loop import loop
         from surefoot.scenarios.trace.loop_report import helped
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.log import Log
-        from surefoot.sim.robot import Robot
 
-        log = Log.read(self.log)
-        robot = Robot.for_log(log, self.robot)
+        log = surefoot.Log.read(self.log)
+        robot = surefoot.Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
         print("\n" + in_terminal(table))
@@ -96,13 +94,11 @@ class Realism(RealismSettings, RobotSettings):
         from surefoot.scenarios.stages import percent_bar
         from surefoot.scenarios.trace.realism import card_table, realism
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.log import Log
-        from surefoot.sim.robot import Robot
 
-        log = Log.read(self.log)
-        robot = Robot.for_log(log, self.robot)
+        log = surefoot.Log.read(self.log)
+        robot = surefoot.Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
-        walker = Robot.load(self.walker) if self.walker else None
+        walker = surefoot.Robot.load(self.walker) if self.walker else None
         with percent_bar("walking") as bar:
             found = realism(log, robot, self, effects, walker, bar)
         for one in found:
@@ -188,10 +184,9 @@ class PlanCommand(options.JsonOption):
             recordings_to_make,
         )
         from surefoot.scenarios.stages import percent_bar
-        from surefoot.sim.robot import Robot
 
         with percent_bar("plan") as bar:
-            found = plan_motions(Robot.load(self.robot), self.effects, bar)
+            found = plan_motions(surefoot.Robot.load(self.robot), self.effects, bar)
         if self.json:
             options.print_json(
                 {"effects": motion_table(found), "record": recordings_to_make(found)}

@@ -1,10 +1,10 @@
 """Estimate the file of a log, piece by piece: a short log is one piece."""
 
 import sys
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from itertools import tee
 from pathlib import Path
 from typing import NamedTuple
 
@@ -93,23 +93,16 @@ def estimate_file(settings: EstimateSettings) -> EstimateOfFile:
         print(f"note: {first.name}: {note}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
-    waiting: deque[Log] = deque()  # pieces that were read but not estimated
-
-    def pieces(logs: Iterable[Log]) -> Iterator[Log]:
-        for log in logs:
-            waiting.append(log)
-            yield log
-
+    pieces, same = tee([first] if whole else Log.chunks(reader, LOG_PIECE))
     with errors_in(f"filter {settings.filter}"), ExitStack() as files:
         write: Callable[[Trajectory], None] | None = None
-        chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
-        for part in estimated_in_chunks(estimator, chunks, model, learnt, chosen):
+        estimates = estimated_in_chunks(estimator, pieces, model, learnt, chosen)
+        for part, log in zip(estimates, same, strict=False):  # ends where it diverged
             if settings.out is not None:
                 write = write or files.enter_context(
                     _opened(settings.out, settings.force, doubts, part if whole else None)
                 )
                 write(part)
-            log = waiting.popleft()
             parts.append(summary_of_run(part, log))
             judge.add(log, part)
         metrics = None if parts[-1].diverged else judge.metrics()
