@@ -6,15 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
+from surefoot.scenarios import settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
-from surefoot.scenarios.settings import (
-    AlignSettings,
-    CheckedSettings,
-    ContactsSettings,
-    OutputSettings,
-    SimulateSettings,
-)
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
@@ -35,7 +29,7 @@ def _for_observers(_default: str) -> str:
 
 
 @options.command
-class Simulate(SimulateSettings):
+class Simulate(settings.SimulateSettings):
     """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
     resumed.
     """
@@ -52,7 +46,7 @@ class Simulate(SimulateSettings):
 
 
 @options.command
-class Import(CheckedSettings, ContactsSettings, OutputSettings):
+class Import(settings.CheckedSettings, settings.ContactsSettings, settings.OutputSettings):
     """Convert a recording to a log, by a map of its columns.
 
     Reads CSV and other text tables, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the
@@ -134,7 +128,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
 
 
 @options.command
-class Export(OutputSettings):
+class Export(settings.OutputSettings):
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out; or
     convert an observer of an earlier surefoot.
     """
@@ -154,7 +148,7 @@ class Export(OutputSettings):
 
 
 @options.command
-class Info(CheckedSettings, ContactsSettings, options.JsonOption):
+class Info(settings.CheckedSettings, settings.ContactsSettings, options.JsonOption):
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
     logs: tuple[Path, ...]
@@ -242,7 +236,7 @@ def _groups(log: "Log") -> list[str]:
 
 
 @options.command
-class Align(AlignSettings, options.JsonOption):
+class Align(settings.AlignSettings, options.JsonOption):
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
     def run(self) -> None:
@@ -253,7 +247,7 @@ class Align(AlignSettings, options.JsonOption):
 
 
 @options.command
-class View(OutputSettings):
+class View(settings.OutputSettings):
     """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
@@ -294,7 +288,7 @@ class View(OutputSettings):
 
 
 @options.command
-class Robots(OutputSettings, options.JsonOption):
+class Robots(settings.OutputSettings, options.JsonOption):
     """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[
@@ -330,7 +324,7 @@ class Robots(OutputSettings, options.JsonOption):
 
 
 @options.command
-class New(OutputSettings):
+class New(settings.OutputSettings):
     """Write a working package of your own: an estimator with its test."""
 
     kind: Positional[Literal["estimator"]]

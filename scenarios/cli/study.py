@@ -7,25 +7,15 @@ from tyro.conf import Positional, arg
 
 import surefoot
 from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
+from surefoot.scenarios import settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
-from surefoot.scenarios.settings import (
-    GridSettings,
-    LearntSettings,
-    LoopSettings,
-    OutputSettings,
-    RealismSettings,
-    RobotSettings,
-    TraceInputs,
-    TraceSettings,
-    TuneSettings,
-)
 from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects.catalogue import CATALOGUE
 
 
 @options.command
-class Demo(OutputSettings):
+class Demo(settings.OutputSettings):
     """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
     out: Path = Path("out/demo")
@@ -40,7 +30,7 @@ class Demo(OutputSettings):
 
 
 @options.command
-class TraceCommand(TraceSettings):
+class TraceCommand(settings.TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     def run(self) -> None:
@@ -52,7 +42,7 @@ class TraceCommand(TraceSettings):
 
 
 @options.command
-class LoopCommand(LoopSettings, TraceInputs):
+class LoopCommand(settings.LoopSettings, settings.TraceInputs):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Path
@@ -77,7 +67,7 @@ class LoopCommand(LoopSettings, TraceInputs):
 
 
 @options.command
-class Realism(RealismSettings, RobotSettings):
+class Realism(settings.RealismSettings, settings.RobotSettings):
     """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
     period and posture.
     """
@@ -109,7 +99,7 @@ class Realism(RealismSettings, RobotSettings):
 
 
 @options.command
-class ExperimentCommand(GridSettings):
+class ExperimentCommand(settings.GridSettings):
     """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
     file: str
@@ -123,7 +113,7 @@ class ExperimentCommand(GridSettings):
 
 
 @options.command
-class Suite(GridSettings):
+class Suite(settings.GridSettings):
     """Reproduce the paper's two tables on the simulated suites, from simulation to table.
 
     Conditions: as drawn (each robot equals its model), as built (with errors drawn within
@@ -142,7 +132,7 @@ class Suite(GridSettings):
 
 
 @options.command
-class Tune(TuneSettings, LearntSettings):
+class Tune(settings.TuneSettings, settings.LearntSettings):
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
 

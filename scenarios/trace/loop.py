@@ -69,7 +69,6 @@ def loop(
     settings: LoopSettings,
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
-    plan: TrainingPlan = DEFAULT_PLAN,
 ) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
     Without PyTorch it trains no observers, and does so once that is installed.
@@ -87,8 +86,8 @@ def loop(
             then looks for what has changed since (see `trace`).
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
             fitted.
-        plan: amount of walks and training.
     """
+    plan = DEFAULT_PLAN
     out, seed = settings.out, settings.seed
     check_seed(seed)
     log.require("imu", "q", "reference")

@@ -28,8 +28,7 @@ from surefoot.scenarios.trace.observer_errors import (
     recalibrated,
 )
 from surefoot.scenarios.trace.realism import GaitChoice
-from surefoot.scenarios.trace.report import channel_row
-from surefoot.scenarios.trace.words import caution
+from surefoot.scenarios.trace.report import caution, channel_row
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects import Effect

@@ -15,9 +15,8 @@ from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.models.residuals.layout import layout_for
-from surefoot.scenarios.trace.report import summary
+from surefoot.scenarios.trace.report import beyond_bounds, headline, summary
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
-from surefoot.scenarios.trace.words import beyond_bounds, headline
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns

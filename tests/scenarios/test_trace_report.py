@@ -21,9 +21,15 @@ from surefoot.scenarios.trace.filters import (
     change_of_errors,
 )
 from surefoot.scenarios.trace.next_steps import next_steps
-from surefoot.scenarios.trace.report import _sizes, sections, summary
+from surefoot.scenarios.trace.report import (
+    VERDICTS,
+    _sizes,
+    ranked_notes,
+    sections,
+    state_of,
+    summary,
+)
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.words import VERDICTS, ranked_notes, state_of
 from surefoot.sim.effects import effect
 
 LONG = effect("link_length", "FR_calf", 0.006)
