@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from surefoot.scenarios.estimate.error_series import QUANTITIES, ErrorSeries
+from surefoot.scenarios.estimate.error_series import NAMED_AXES, QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
     INK,
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
 
 _HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
-NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
 
 
 def trajectories(

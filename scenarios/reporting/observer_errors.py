@@ -9,7 +9,7 @@ from scipy.stats import norm
 from surefoot.models.calibration.error_statistics import AxisErrors, error_statistics
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.samples import RATE
-from surefoot.scenarios.reporting.figures import NAMED_AXES
+from surefoot.scenarios.estimate.error_series import NAMED_AXES
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.palette import BOUNDS, INK, OUTSIDE, TEST, TRAIN
 from surefoot.scenarios.reporting.plotting import (
