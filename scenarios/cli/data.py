@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
-from surefoot.scenarios import settings
+import surefoot
+from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
 from surefoot.sim.common.errors import SurefootError, did_you_mean
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from surefoot.sim.importing.advice import Changes
-    from surefoot.sim.log import Log
     from surefoot.sim.plausibility.finding import Finding
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
@@ -85,9 +85,8 @@ class Import(settings.CheckedSettings, settings.ContactsSettings, settings.Outpu
             raise SurefootError("--robot is only for --guess; the robot is named in the map")
         from surefoot.scenarios.estimate.inputs import findings_of, warned
         from surefoot.sim.importing.advice import advised_lines
-        from surefoot.sim.importing.recording import read_recording
 
-        recording = read_recording(files, self.map)
+        recording = surefoot.read_recording(files, self.map)
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
@@ -198,7 +197,7 @@ class Info(settings.CheckedSettings, settings.ContactsSettings, options.JsonOpti
         warned(findings, self.strict)
 
 
-def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
+def _lines(log: "surefoot.Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
     """What to know about a log, and how filters start on it."""
     from surefoot.scenarios.estimate.inputs import start_note
     from surefoot.sim.importing.report import import_lines
@@ -208,29 +207,28 @@ def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str
 
 
 def _compared_contacts(
-    log: "Log", findings: "Sequence[Finding]", asked: bool
+    log: "surefoot.Log", findings: "Sequence[Finding]", asked: bool
 ) -> tuple[tuple[str, ...], "Changes"]:
     """What to say on the contacts of a log, and changes of its map: where asked for, or where they
     are in doubt and no finding corrects them.
     """
     from surefoot.scenarios.estimate.contact_sources import contact_lines
-    from surefoot.scenarios.stages import percent_bar
 
     doubted = [one for one in findings if any(x.startswith("contact_") for x in one.streams)]
     if any(one.changes for one in doubted):
         return ("contacts: to be compared with the lines for the map followed",) * asked, {}
     if not (asked or doubted):
         return (), {}
-    with percent_bar("contacts") as progress:
+    with reporting.percent_bar("contacts") as progress:
         return contact_lines(log, progress)
 
 
-def _summary(name: str, log: "Log") -> str:
+def _summary(name: str, log: "surefoot.Log") -> str:
     seconds, there = log.t[-1] - log.t[0], ", ".join(_groups(log))
     return f"{name}: {len(log.t)} samples, {seconds:.1f} s at {log.rate:.0f} Hz; {there}"
 
 
-def _groups(log: "Log") -> list[str]:
+def _groups(log: "surefoot.Log") -> list[str]:
     groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
     return [group for group in groups if log.has(group)]
 

@@ -7,7 +7,7 @@ from tyro.conf import Positional, arg
 
 import surefoot
 from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
-from surefoot.scenarios import settings
+from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
 from surefoot.sim.common.errors import check_known
@@ -80,8 +80,6 @@ class Realism(settings.RealismSettings, settings.RobotSettings):
     """Robot to simulate instead of the log's; measured values are scaled to it."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.scenarios.stages import percent_bar
         from surefoot.scenarios.trace.realism import card_table, realism
         from surefoot.sim.effects.file import load_effects
 
@@ -89,10 +87,10 @@ class Realism(settings.RealismSettings, settings.RobotSettings):
         robot = surefoot.Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
         walker = surefoot.Robot.load(self.walker) if self.walker else None
-        with percent_bar("walking") as bar:
+        with reporting.percent_bar("walking") as bar:
             found = realism(log, robot, self, effects, walker, bar)
         for one in found:
-            print(f"\n{one.words}\n\n{to_markdown(card_table(one.card))}")
+            print(f"\n{one.words}\n\n{reporting.to_markdown(card_table(one.card))}")
             for name, why in one.card.missing.items():
                 print(f"missing: {name}: {why}")
         print(f"\nreport: {self.out / 'report.html'}")
@@ -167,19 +165,16 @@ class PlanCommand(options.JsonOption):
     ]
 
     def run(self) -> None:
-        from surefoot.scenarios.motion_plan import (
-            motion_table,
-            plan_motions,
-            plan_text,
-            recordings_to_make,
-        )
-        from surefoot.scenarios.stages import percent_bar
+        from surefoot.scenarios import motion_plan
 
-        with percent_bar("plan") as bar:
-            found = plan_motions(surefoot.Robot.load(self.robot), self.effects, bar)
+        with reporting.percent_bar("plan") as bar:
+            found = motion_plan.plan_motions(surefoot.Robot.load(self.robot), self.effects, bar)
         if self.json:
             options.print_json(
-                {"effects": motion_table(found), "record": recordings_to_make(found)}
+                {
+                    "effects": motion_plan.motion_table(found),
+                    "record": motion_plan.recordings_to_make(found),
+                }
             )
         else:
-            print(plan_text(found))
+            print(motion_plan.plan_text(found))

@@ -39,7 +39,6 @@ from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
-    TrainingPlan,
     TrainingWalks,
     WalkedStyle,
     rates_as_of,
@@ -87,7 +86,6 @@ def loop(
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
             fitted.
     """
-    plan = DEFAULT_PLAN
     out, seed = settings.out, settings.seed
     check_seed(seed)
     log.require("imu", "q", "reference")
@@ -102,7 +100,7 @@ def loop(
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
-        "training": asdict(plan),
+        "training": asdict(DEFAULT_PLAN),
     }
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
@@ -132,7 +130,7 @@ def loop(
 
     def style_of_walks() -> dict[str, Any]:
         with percent_bar("walking") as progress:
-            return asdict(style_that_walks(drawn, seed, plan, progress))
+            return asdict(style_that_walks(drawn, seed, progress=progress))
 
     walked = WalkedStyle()
     if trains:
@@ -145,7 +143,7 @@ def loop(
         learnt, simulated, measured = Learnt(), None, None
         if trains and name not in walked.fallen:
             walks = with_style_share(drawn[name], walked.share)
-            learnt, simulated = _learnt(walks, log, out / name, seed, plan)
+            learnt, simulated = _learnt(walks, log, out / name, seed)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         if learnt.observers:
             measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
@@ -155,7 +153,7 @@ def loop(
     compensated, corrected = last.log, last.robot
 
     def errors_if_trained_on_it() -> list[float] | str:
-        how = replace(plan.training, inputs=inputs_of(compensated), seed=seed)
+        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(compensated), seed=seed)
         try:
             return learnt_from_measured(compensated, corrected, how)
         except ObserverError as error:
@@ -207,9 +205,7 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
     return rates_as_of(compensated, log), model
 
 
-def _learnt(
-    walks: TrainingWalks, log: Log, out: Path, seed: int, plan: TrainingPlan
-) -> tuple[Learnt, ErrorParts]:
+def _learnt(walks: TrainingWalks, log: Log, out: Path, seed: int) -> tuple[Learnt, ErrorParts]:
     """Observers and bounds from simulated walks; trained unless already done.
 
     Also returns the parts of the observer's errors on the simulated walk of the calibration.
@@ -219,17 +215,16 @@ def _learnt(
         log: the measured log, whose columns determine the observers' inputs.
         out: folder of this world.
         seed: of walks and training.
-        plan: amount of walks and training.
     """
     from surefoot.scenarios.estimate.learning import learn, learnt_in
 
     done = out / "done"
     if not (done.exists() and all(map(as_made, out.glob("*.*")))):
         with percent_bar(f"walking: {out.name}") as progress:
-            training, calibration = simulate_training(walks, seed, plan, progress)
+            training, calibration = simulate_training(walks, seed, progress=progress)
         training = [rates_as_of(one, log) for one in training]
         calibration = rates_as_of(calibration, log)
-        how = replace(plan.training, inputs=inputs_of(log), seed=seed)
+        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(log), seed=seed)
         learnt = learn(training, calibration, out, how, force=True)
         _write(out / "errors.json", error_parts(learnt.observers[0], calibration))
         done.touch()
