@@ -126,8 +126,8 @@ def _undeclared(robot: Robot, seed: int, out: Path) -> Effect:
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
     hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
     with percent_bar("walking: undeclared") as progress:
-        scenario, own = Scenario.load("demo/walk"), 4 * seed + 3
-        log = walk(scenario, robot, own, [hidden], declared=False, progress=progress)
+        scenario, walk_seed = Scenario.load("demo/walk"), 4 * seed + 3
+        log = walk(scenario, robot, walk_seed, [hidden], declared=False, progress=progress)
     replace(log, name="undeclared").write(out / "logs" / "undeclared.parquet")
     save_effects(out / "truth.toml", [hidden])
     return hidden

@@ -43,7 +43,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     another run, the disk is full, or others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
-    own = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
+    exclusive = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
     shared = [given[name] for name in SHARED_OUTPUTS if given.get(name) is not None]
     outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
     read = {name: value for name, value in given.items() if name not in outputs}
@@ -51,7 +51,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     for option, value in given.items():
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
-    for path in (*inputs, *own, *shared):
+    for path in (*inputs, *exclusive, *shared):
         whole = os.path.abspath(path)  # Python holds other bytes than UTF-8 as half characters
         if whole.encode(errors="ignore").decode() != whole:
             raise SurefootError(f"{whole}: the path is not UTF-8; rename it")
@@ -62,7 +62,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
             check_limit(limit, given[option], f"--{option}")
     with ExitStack() as stack:
         run = stack.enter_context(files.command_run(name, inputs))
-        for path in (*own, *shared):
+        for path in (*exclusive, *shared):
             files.refuse_input(path)
         for option in FOLDER_OPTIONS:
             if given.get(option) and Path(given[option]).is_file():
@@ -70,10 +70,10 @@ def guarded(name: str, command: Any) -> Iterator[None]:
         if given.get("page"):
             from surefoot.scenarios.reporting.pages import check_page
 
-            check_page(given["page"], own)
-        for path in own:
+            check_page(given["page"], exclusive)
+        for path in exclusive:
             stack.enter_context(_alone(path))
-        say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
+        say_if_interrupted(lambda: how_to_go_on(name, run.written, exclusive))
         yield
 
 
@@ -119,17 +119,17 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         yield
 
 
-def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str:
+def how_to_go_on(name: str, written: Sequence[Path], exclusive: Sequence[Path]) -> str:
     """Message of an interrupted command.
 
     Args:
         name: of the command.
         written: paths that it has finished.
-        own: its outputs. A command that can continue writes parts of them first, which do not
+        exclusive: its outputs. A command that can continue writes parts of them first, which do not
             count.
     """
     if name in GOES_ON:
-        whole = [Path(os.path.realpath(path)) for path in own]
+        whole = [Path(os.path.realpath(path)) for path in exclusive]
         written = [path for path in written if path in whole]
     if written:
         done = ", ".join(map(str, written))

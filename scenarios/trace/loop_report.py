@@ -105,8 +105,9 @@ def write_loop(
     last = worlds[-1].comparison
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
     write_recording(out / "loop.rrd", walk, force=True)
+    shown = table.filter(regex="^(filter|APE_trans|NEES_pos)")
     sections = [
-        Section("Findings", loop_findings(found, table, [w.name for w in worlds]), overview(table)),
+        Section("Findings", loop_findings(found, table, [w.name for w in worlds]), shown),
         *_pictures(log, worlds, drawn),
         Section("Method", _method(worlds)),
         Section("Errors of every filter", "", table, file="table"),
@@ -201,8 +202,8 @@ def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"filter": name}
         for heading, key in LOOP_METRICS.items():
             for world in worlds:
-                own = (r.metrics for r in world.comparison.results if r.filter == name)
-                row[f"{heading} {world.name}"] = getattr(next(own, None), key, None)
+                found = (r.metrics for r in world.comparison.results if r.filter == name)
+                row[f"{heading} {world.name}"] = getattr(next(found, None), key, None)
         for world in worlds:
             held = world.comparison.held.get(name)
             row[f"coverage [%] {world.name}"] = 100 * held.joint if held else None
@@ -230,15 +231,8 @@ def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
         f"{r.filter} {world.name}": r.trajectory
         for world in (worlds[0], worlds[-1])
         for r in world.comparison.results
-        if (own := traits(r.filter)).drawn and not own.variant
+        if (known := traits(r.filter)).drawn and not known.variant
     }
-
-
-def overview(table: pd.DataFrame) -> pd.DataFrame:
-    """The columns of position error and consistency, before and after, of the whole table."""
-    shown = [c for c in table if str(c).startswith(("filter", "APE_trans", "NEES_pos"))]
-    names = {c: str(c).replace("_trans", "").replace("_pos", "") for c in shown}
-    return pd.DataFrame(table, columns=shown).rename(columns=names)
 
 
 def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[str]) -> str:

@@ -369,11 +369,6 @@ def choose_gait(
     return GaitChoice(taken is walked, words, card_table(taken.card))
 
 
-def with_own_feet(robot: Robot) -> Robot:
-    """The robot with the foot radius of its file."""
-    return replace(robot, foot_radius=Robot.load(robot.file).foot_radius)
-
-
 def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
     """RPE of the leg filter over 1 m [m/m], NaN where it diverged: one row per simulated robot with
     feet as in the measured log's model and, if different, with the foot radius of the robot's file.
@@ -381,7 +376,7 @@ def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]
     rows = []
     for one in found:
         robots = [view.robot for view in (one.measured, *one.simulated)]
-        in_file = [with_own_feet(robot) for robot in robots]
+        in_file = [replace(r, foot_radius=Robot.load(r.file).foot_radius) for r in robots]
         rows.append(_drift_row(one, "as declared", robots))
         if not np.allclose(in_file[0].foot_radius, robots[0].foot_radius):
             rows.append(_drift_row(one, "as in the robot's file", in_file))

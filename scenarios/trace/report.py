@@ -89,12 +89,16 @@ def sections(found: Trace) -> list[Section]:
         f"Root mean square of means over {1e3 * found.averaged_over:.0f} ms, on {where}; turn-on "
         "biases of the IMU are subtracted."
     )
+    residuals = [
+        channel_row(name, vars(one)) | {"": state_of(one)}
+        for name, one in found.unseen_channels.items()
+    ]
     return [
         _verdict(found, where),
         *([Section("What to do next", steps, steps=found.steps)] if found.steps else []),
         *_of_filters(found),
         *_given("Effects found", [named], _sizes(found, found.found)),
-        *_given("Residual of each channel", [levels], _levels(found.unseen_channels)),
+        *_given("Residual of each channel", [levels], residuals),
         *_given("Notes", first),
         *(replace(one, folded=True) for one in _details(found, lacking, assumed)),
     ]
@@ -180,11 +184,6 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         *_given("Considered and rejected", [], rejected),
         *_given("Least changes that would have been named in 95 of 100 such logs", [], least),
     ]
-
-
-def _levels(channels: Mapping[str, ChannelLevel]) -> list[dict[str, Any]]:
-    """One row per channel: residual before and after, its noise floor, and what that means."""
-    return [channel_row(name, vars(c)) | {"": state_of(c)} for name, c in channels.items()]
 
 
 def channel_row(name: str, level: Mapping[str, Any]) -> dict[str, Any]:
