@@ -262,8 +262,7 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
 
 
 def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
-    """One sentence: how many filters have a lower position error in the last world than in the
-    first.
+    """One sentence: which filters have a lower position error in the last world than in the first.
 
     Args:
         table: errors of every filter in every world.
@@ -273,9 +272,11 @@ def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
         return "Whether the loop helps is not known: there is one simulated world only."
     ranked = table[[not traits(name).floor for name in table["filter"]]]
     before, after = (ranked[f"APE_trans [m] {world}"] for world in (worlds[0], worlds[-1]))
+    better = ranked["filter"][after < before]
     return (
-        f"With what `trace` found put into the simulation, {(after < before).sum()} of "
-        f"{before.notna().sum()} filters have a lower position error on the measured walk."
+        f"With what `trace` found put into the simulation, {len(better)} of "
+        f"{before.notna().sum()} filters have a lower position error on the measured walk"
+        f"{': ' if len(better) else ''}{', '.join(better)}."
     )
 
 
