@@ -176,7 +176,6 @@ def _thinned(part: Trajectory, every: int) -> Trajectory:
     """Keep one in `every` estimates, and as many updates, without holding on to the others."""
     updates = part.updates
     if updates is not None:
-        known = {name: value for name, value in vars(updates).items() if value is not None}
-        kept = {name: value[::every].copy() for name, value in known.items()}
+        kept = {name: x[::every].copy() for name, x in vars(updates).items() if x is not None}
         updates = replace(updates, **kept)
     return replace(part.rows(np.arange(0, len(part.t), every)), updates=updates)
