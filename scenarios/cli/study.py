@@ -50,20 +50,16 @@ class LoopCommand(settings.LoopSettings, settings.TraceInputs):
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.inputs import read_logs
-        from surefoot.scenarios.reporting.tables import in_terminal
         from surefoot.scenarios.trace.loop import loop
-        from surefoot.scenarios.trace.loop_report import helped
         from surefoot.sim.effects.file import load_effects
 
         log = surefoot.Log.read(self.log)
         robot = surefoot.Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
-        print("\n" + in_terminal(table))
-        print("\n" + helped(table, [world.name for world in worlds]))
+        print("\n" + loop(log, robot, self, declared, read_logs(self.holdout)))
         if not torch_is_installed():
-            print(f"\nNo observers are trained: {INSTALL_TORCH}")
-        print(f"\nreport: {self.out / 'report.html'}")
+            print(f"No observers are trained: {INSTALL_TORCH}\n")
+        print(f"report: {self.out / 'report.html'}")
 
 
 @options.command
@@ -80,7 +76,7 @@ class Realism(settings.RealismSettings, settings.RobotSettings):
     """Robot to simulate instead of the log's; measured values are scaled to it."""
 
     def run(self) -> None:
-        from surefoot.scenarios.trace.realism import card_table, realism
+        from surefoot.scenarios.trace.realism import realism
         from surefoot.sim.effects.file import load_effects
 
         log = surefoot.Log.read(self.log)
@@ -88,12 +84,9 @@ class Realism(settings.RealismSettings, settings.RobotSettings):
         effects = load_effects(self.effects) if self.effects else ()
         walker = surefoot.Robot.load(self.walker) if self.walker else None
         with reporting.percent_bar("walking") as bar:
-            found = realism(log, robot, self, effects, walker, bar)
-        for one in found:
-            print(f"\n{one.words}\n\n{reporting.to_markdown(card_table(one.card))}")
-            for name, why in one.card.missing.items():
-                print(f"missing: {name}: {why}")
-        print(f"\nreport: {self.out / 'report.html'}")
+            text = realism(log, robot, self, effects, walker, bar)
+        print(f"\n{text}")
+        print(f"report: {self.out / 'report.html'}")
 
 
 @options.command

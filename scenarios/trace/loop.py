@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
@@ -68,14 +67,12 @@ def loop(
     settings: LoopSettings,
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
-) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
+) -> str:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
     Without PyTorch it trains no observers, and does so once that is installed.
 
-    Returns the table, with one row per filter and each metric in each world, and the worlds: only
-    `before` if no effect was found and the plain gait is better. Raises
-    LogError if the log lacks IMU, joints or reference, and SurefootError if `out` has files of
-    another loop and `force` is not given.
+    Returns the findings as text. Raises LogError if the log lacks IMU, joints or reference, and
+    SurefootError if `out` has files of another loop and `force` is not given.
 
     Args:
         log: the measured log.
@@ -162,8 +159,7 @@ def loop(
     trained_on_measured = "PyTorch is not installed"
     if trains:
         trained_on_measured = _kept(out / "measured.json", errors_if_trained_on_it)
-    table = write_loop(log, robot, worlds, settings, choice, trained_on_measured)
-    return table, tuple(worlds)
+    return write_loop(log, robot, worlds, settings, choice, trained_on_measured)
 
 
 def inputs_of(log: Log) -> str:

@@ -16,7 +16,7 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories
-from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.html import Picture, Section, markdown_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.settings import LoopSettings
@@ -78,9 +78,9 @@ def write_loop(
     settings: LoopSettings,
     gait: GaitChoice,
     trained_on_measured: list[float] | str,
-) -> pd.DataFrame:
+) -> str:
     """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
-    errors of every filter.
+    findings as text.
 
     Args:
         log: the measured log.
@@ -118,7 +118,7 @@ def write_loop(
     write_results(out, LOOP_TITLE, sections, force=True)
     if settings.page:
         write_page(settings.page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
-    return table
+    return markdown_report(LOOP_TITLE, sections[:1])
 
 
 def _of_observers(
@@ -245,6 +245,15 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     """
     ranked = table[[not traits(name).floor for name in table["filter"]]].set_index("filter")
     errors = {name: ranked[f"APE_trans [m] {name}"].dropna() for name in worlds}
+    before, after = (ranked[f"APE_trans [m] {name}"] for name in (worlds[0], worlds[-1]))
+    better = list(ranked.index[np.less(after, before)])
+    main = "Whether the loop helps is not known: there is one simulated world only."
+    if len(worlds) > 1:
+        main = (
+            f"With what `trace` found put into the simulation, {len(better)} of {before.count()} "
+            "filters have a lower position error on the measured walk"
+            f"{': ' if better else ''}{', '.join(better)}."
+        )
     rest = []
     best = [f"`{e.idxmin()}` {name} ({e.min():.3f} m)" for name, e in errors.items()]
     rest.append(f"The lowest errors are those of {', '.join(best)}.")
@@ -258,26 +267,7 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     for name, shares in zip(held.index, held.to_numpy(), strict=True):
         of = [f"{share:.1f} % {world}" for share, world in zip(shares, worlds, strict=True)]
         rest.append(f"The bounds of `{name}` contain {', '.join(of)} of the measured errors.")
-    return f"{helped(table, worlds)}\n\n{' '.join(rest)}"
-
-
-def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
-    """One sentence: which filters have a lower position error in the last world than in the first.
-
-    Args:
-        table: errors of every filter in every world.
-        worlds: their names.
-    """
-    if len(worlds) < 2:
-        return "Whether the loop helps is not known: there is one simulated world only."
-    ranked = table[[not traits(name).floor for name in table["filter"]]]
-    before, after = (ranked[f"APE_trans [m] {world}"] for world in (worlds[0], worlds[-1]))
-    better = ranked["filter"][after < before]
-    return (
-        f"With what `trace` found put into the simulation, {len(better)} of "
-        f"{before.notna().sum()} filters have a lower position error on the measured walk"
-        f"{': ' if len(better) else ''}{', '.join(better)}."
-    )
+    return f"{main}\n\n{' '.join(rest)}"
 
 
 def _method(worlds: Sequence[LoopWorld]) -> str:

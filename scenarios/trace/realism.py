@@ -97,8 +97,9 @@ def realism(
     effects: Sequence[Effect] = (),
     walker: Robot | None = None,
     progress: Report = lambda share: None,
-) -> tuple[WalkComparison, ...]:
-    """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
+) -> str:
+    """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`;
+    returns the text of table.md.
 
     Compares walks of the robot as drawn and, with effects or `as_walked`, of the robot with these.
     Raises SurefootError where the log lacks a column or has too few strides, where the simulated
@@ -129,16 +130,16 @@ def realism(
     parts = realism_sections(found, drifts)
     with whole_folder(out, force) as folder:
         tables = {"realism": rows, "drift": drifts}
-        write_results(folder, title, [*parts, *cards], tables)
-        text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
-        write_whole(folder / "realism.json", text + "\n")
+        text = write_results(folder, title, [*parts, *cards], tables)
+        values = json.dumps(_json(found) | {"drift": drifts}, indent=2)
+        write_whole(folder / "realism.json", values + "\n")
     if settings.page:
         filed = [
             Section("Realism card", "Every quantity.", rows, file="realism"),
             Section("Drift", f"The `{FILTER}` filter on each walk.", drifts, file="drift"),
         ]
         write_page(settings.page, title, [*parts, *filed], origin_of(__name__, "surefoot realism"))
-    return tuple(found)
+    return text
 
 
 def compare_walks(
