@@ -138,7 +138,7 @@ def _of_filters(found: Trace) -> list[Section]:
     words = [f"{where}. Before: the declared model. After: with the effects found."]
     for one in found.stretches:
         sides = zip(("before", "after"), one.lost, strict=True)
-        words += [f"{one.log.name} {side}: {why}" for side, why in sides if why]
+        words += [f"{side}, on {one.log.name}: {why}" for side, why in sides if why]
     rows = filter_rows(found.judged_filters, FIRST)
     parts = _given("Filters before and after", words, rows)
     if found.causes:
