@@ -128,18 +128,16 @@ def error_distributions(
         bins = np.linspace(-edge, edge, 61).tolist()
         grid = np.linspace(-edge, edge, 400)
         top.axvspan(-epsilon[k], epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
-        shares = []
         for name, errors, color in sets:
             e = errors[:, k]
             top.hist(e, bins=bins, density=True, color=color, alpha=0.45, label=f"{name} errors")
             fit = norm.pdf(grid, e.mean(), e.std())
             label = f"Gaussian fit, {name.lower()}"
             top.plot(grid, fit, "--", color=color, linewidth=1.6, label=label)
-            shares.append(f"{name.lower()} {100 * (np.abs(e) <= epsilon[k]).mean():.1f} %")
             _quantiles(below, e, color, name)
         for sign in (-1, 1):
             top.axvline(sign * epsilon[k], color=BOUNDS, linewidth=1.2)
-        _title_axis(top, k, epsilon, shares)
+        _title_axis(top, k, epsilon, train, test)
         top.set(xlabel="error [m/s]", xlim=(-edge, edge), yticks=[])
         below.plot([-4, 4], [-4, 4], color=INK, linewidth=0.8)
         below.set(xlabel="Gaussian quantile [σ]", xlim=(-4, 4), ylim=(-7, 7))
@@ -168,13 +166,11 @@ def error_bounds(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma
         edge = max(1.6 * epsilon[k], *[np.quantile(np.abs(e[:, k]), 0.995) for e in (train, test)])
         ax.axvspan(0, epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
         ax.axhline(100 * level, color=INK, linewidth=1.0, linestyle=":", label="level of each axis")
-        shares = []
         for name, e, color, line in (("Training", train, TRAIN, "-"), ("Test", test, TEST, "--")):
             sizes = np.sort(np.abs(e[:, k]))
             share = 100 * np.arange(1, len(sizes) + 1) / len(sizes)
             ax.plot(sizes, share, line, color=color, linewidth=1.9, label=f"{name} errors")
-            shares.append(f"{name.lower()} {100 * (sizes <= epsilon[k]).mean():.1f} %")
-        _title_axis(ax, k, epsilon, shares)
+        _title_axis(ax, k, epsilon, train, test)
         ax.set(xlabel="|error| [m/s]", xlim=(0, edge), ylim=(0, 101))
         ax.locator_params(axis="x", nbins=5)  # more would touch
     axes[0, 0].set_ylabel("errors that are smaller [%]")
@@ -225,10 +221,11 @@ def mixing_curve(mixing: Mixing) -> Figure:
     return figure
 
 
-def _title_axis(ax, k: int, epsilon: np.ndarray, shares: Sequence[str]) -> None:
+def _title_axis(ax, k: int, epsilon: np.ndarray, train: np.ndarray, test: np.ndarray) -> None:
     axis, word = NAMED_AXES[k]
-    text = f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\ninside: {', '.join(shares)}"
-    ax.set_title(text, fontsize=9)
+    a, b = (100 * (np.abs(errors[:, k]) <= epsilon[k]).mean() for errors in (train, test))
+    inside = f"inside: training {a:.1f} %, test {b:.1f} %"
+    ax.set_title(f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\n{inside}", fontsize=9)
 
 
 def _quantiles(ax, e: np.ndarray, color: str, name: str) -> None:
