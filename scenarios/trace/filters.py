@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.special import stdtrit
+from scipy.stats import ttest_1samp
 
 from surefoot.estimator.evaluation.health import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
@@ -297,8 +297,8 @@ def harmful_to_filters(
             more = more[np.isfinite(more)]
             if len(more) < LOG_PARTS - 1 or np.mean(more) < np.log(HARM):
                 continue
-            doubt = stdtrit(len(more) - 1, 0.975) * np.std(more, ddof=1) / np.sqrt(len(more))
-            if (excess := float(np.mean(more) - doubt)) > 0.0:
+            excess = float(ttest_1samp(more, 0.0).confidence_interval().low)
+            if excess > 0.0:
                 worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
     return worst and (worst[1], f"it makes {worst[2]} worse")
 

@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import sem
-from scipy.stats import t as student_t
+from scipy.stats import ttest_1samp
 
 from surefoot.models.attribution.sensor_noise import reference_sampling, resample_reference
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
@@ -408,6 +407,5 @@ def ratio_of_drifts(measured: float, simulated: Sequence[float]) -> tuple[float,
     """Mean drift of the simulated walks over the measured one, and its 95 % interval over the
     walks' seeds (Student's t); NaN for one walk.
     """
-    ratio, n = float(np.mean(simulated)) / measured, len(simulated)
-    doubt = sem(simulated) / measured if n > 1 else np.nan
-    return ratio, *student_t.interval(0.95, n - 1, ratio, doubt)
+    interval = ttest_1samp(simulated, 0.0).confidence_interval()
+    return float(np.mean(simulated)) / measured, interval.low / measured, interval.high / measured
