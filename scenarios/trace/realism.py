@@ -369,7 +369,7 @@ def choose_gait(
     return GaitChoice(taken is walked, words, card_table(taken.card))
 
 
-def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
+def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, Any]]:
     """RPE of the leg filter over 1 m [m/m], NaN where it diverged: one row per simulated robot with
     feet as in the measured log's model and, if different, with the foot radius of the robot's file.
     """
@@ -383,7 +383,7 @@ def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]
     return rows
 
 
-def _drift_row(one: WalkComparison, feet: str, robots: Sequence[Robot]) -> dict[str, str | float]:
+def _drift_row(one: WalkComparison, feet: str, robots: Sequence[Robot]) -> dict[str, Any]:
     """The drift with one model of the feet for each walk, the measured one's first."""
     views = (one.measured, *one.simulated)
     runs = [run_filter(FILTER, v.log, r).metrics for v, r in zip(views, robots, strict=True)]
