@@ -15,9 +15,8 @@ from surefoot.estimator.evaluation.trajectory import reference
 from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.observer.predict import prediction_errors
 from surefoot.scenarios.demo import LEARNING
-from surefoot.scenarios.estimate.error_series import error_series
+from surefoot.scenarios.estimate.error_series import NAMED_AXES, error_series
 from surefoot.scenarios.estimate.inputs import learnt_from
-from surefoot.scenarios.reporting.figures import NAMED_AXES
 from surefoot.scenarios.reporting.palette import INK, estimator_color
 from surefoot.scenarios.reporting.plotting import (
     label_decades,

@@ -19,15 +19,7 @@ from typing import Any
 
 import pandas as pd
 
-from surefoot.sim.common.files import (
-    as_made,
-    file_digest,
-    json_digest,
-    kept_file,
-    kept_json,
-    private_folder,
-    say_made_again,
-)
+from surefoot.sim.common import files
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.log import Log
 
@@ -68,13 +60,13 @@ def read_case(
     folder: Path, name: str, inputs: Mapping[str, Any], module: str
 ) -> dict[str, Any] | None:
     """The row of a case finished by the same code; None where there is none, or a damaged one."""
-    values = kept_json(folder / f"{name}.json")
+    values = files.kept_json(folder / f"{name}.json")
     current = sources_digest(module), json.loads(json.dumps(inputs, default=float))
     if values is None or (values.get("code"), values.get("inputs")) != current:
         return None
     row = values.get("row")
-    intact = values.get("sha256") == json_digest(row)
-    return row if intact else say_made_again(folder / f"{name}.json")
+    intact = values.get("sha256") == files.json_digest(row)
+    return row if intact else files.say_made_again(folder / f"{name}.json")
 
 
 def product(
@@ -96,13 +88,13 @@ def product(
         suffix: of the file; not ".json", which is that of its row.
         make: writes the file at the given path and returns the facts.
     """
-    private_folder(folder)
+    files.private_folder(folder)
     key = product_key(kind, inputs, code)
     path = folder / kind / f"{key}{suffix}"
     row = read_case(path.parent, key, inputs, code)
-    if row is None or not as_made(path, row["digest"]):
-        with kept_file(path) as temporary:
-            row = {"facts": make(temporary), "digest": file_digest(temporary)}
+    if row is None or not files.as_made(path, row["digest"]):
+        with files.kept_file(path) as temporary:
+            row = {"facts": make(temporary), "digest": files.file_digest(temporary)}
         # The row is written last: a file without one is incomplete and is made again.
         _write_case(path.parent / f"{key}.json", inputs, code, row)
     return Product(path, row["digest"], row["facts"])
@@ -110,7 +102,7 @@ def product(
 
 def product_key(kind: str, inputs: Mapping[str, Any], code: str) -> str:
     """Name under which a product is stored."""
-    return json_digest([kind, inputs, sources_digest(code)])[:32]
+    return files.json_digest([kind, inputs, sources_digest(code)])[:32]
 
 
 def contents_digest(log: Log) -> str:
@@ -121,7 +113,7 @@ def contents_digest(log: Log) -> str:
 
 
 def _write_case(path: Path, inputs: Mapping[str, Any], module: str, row: Mapping[str, Any]) -> None:
-    code, digest = sources_digest(module), json_digest(row)
+    code, digest = sources_digest(module), files.json_digest(row)
     values = {"code": code, "inputs": inputs, "row": row, "sha256": digest}
-    with kept_file(path) as temporary:
+    with files.kept_file(path) as temporary:
         temporary.write_text(json.dumps(values, indent=1, default=float), encoding="utf-8")

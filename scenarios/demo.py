@@ -20,15 +20,14 @@ from surefoot.scenarios.estimate.inputs import with_effects
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.first_use import compile_filters
-from surefoot.scenarios.reporting.html import Picture, Section, nested
+from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
 from surefoot.scenarios.reporting.tables import in_terminal
 from surefoot.scenarios.settings import WalksSettings
 from surefoot.scenarios.stages import percent_bar, processes, submitted
-from surefoot.scenarios.trace.report import sections as trace_sections
+from surefoot.scenarios.trace.report import headline, sections, summary
 from surefoot.scenarios.trace.result import Trace
 from surefoot.scenarios.trace.run import TraceOptions, trace
-from surefoot.scenarios.trace.words import summary
 from surefoot.scenarios.training.many_walks import SUITE, many_walks
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import check_space, refuse_full, whole_folder
@@ -108,7 +107,7 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
         found = tracing.result()
     # The ground as drawn with this seed, in contrast to that in the file.
     ground = plan(drawn.scenario, robot, drawn.seed, drawn.effects, drawn.declared).ground
-    extra = [*_observer_sections(log, learnt), *_loop_sections(found, hidden)]
+    extra = [*_observer_sections(log, learnt), _loop_section(found, hidden)]
     title = "surefoot demo: a walk on slippery ground, estimated by proprioception"
     results = write_comparison([comparison, by_legs], out, title, ground, extra=extra)
     return results, found, hidden
@@ -127,8 +126,8 @@ def _undeclared(robot: Robot, seed: int, out: Path) -> Effect:
     size = float(rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(low), np.log(high))))
     hidden = effect(name, str(rng.choice(targets)), abs(size) if name == "joint_delay" else size)
     with percent_bar("walking: undeclared") as progress:
-        scenario, own = Scenario.load("demo/walk"), 4 * seed + 3
-        log = walk(scenario, robot, own, [hidden], declared=False, progress=progress)
+        scenario, walk_seed = Scenario.load("demo/walk"), 4 * seed + 3
+        log = walk(scenario, robot, walk_seed, [hidden], declared=False, progress=progress)
     replace(log, name="undeclared").write(out / "logs" / "undeclared.parquet")
     save_effects(out / "truth.toml", [hidden])
     return hidden
@@ -144,13 +143,14 @@ def _in_words(hidden: Effect) -> str:
     return f"{hidden.name} of {hidden.target}, {hidden.value:.4g} {hidden.unit}"
 
 
-def _loop_sections(found: Trace, hidden: Effect) -> list[Section]:
-    hidden_effect = Section(
-        "Closing the loop",
-        "A further walk was recorded with an effect that its log does not declare; what follows "
-        f"was found from the log alone. The effect was: {_in_words(hidden)}.",
+def _loop_section(found: Trace, hidden: Effect) -> Section:
+    """What the trace found, and the picture of what remains."""
+    words = (
+        "A further walk was recorded with an effect that its log does not declare: "
+        f"{_in_words(hidden)}. What was found from the log alone: {headline(found)}. The full "
+        "report is trace/report.html."
     )
-    return [hidden_effect, *nested(trace_sections(found))]
+    return Section("Closing the loop", words, pictures=sections(found)[0].pictures)
 
 
 def _observer_sections(log: Log, learnt: Learnt) -> list[Section]:

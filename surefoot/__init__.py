@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from surefoot.scenarios.estimate.settings import FilterSettings, NoiseSettings, StartSettings
     from surefoot.scenarios.estimate.streaming import StreamingEstimator
     from surefoot.scenarios.settings import SimulateSettings
+    from surefoot.scenarios.trace.report import summary as trace_summary
     from surefoot.scenarios.trace.result import Trace
     from surefoot.scenarios.trace.run import TraceOptions, trace
-    from surefoot.scenarios.trace.words import summary as trace_summary
     from surefoot.sim.importing.assemble import RawRecording
     from surefoot.sim.importing.recording import import_log, read_recording
     from surefoot.sim.log import Log

@@ -6,15 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
+import surefoot
+from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
-from surefoot.scenarios.settings import (
-    AlignSettings,
-    CheckedSettings,
-    ContactsSettings,
-    OutputSettings,
-    SimulateSettings,
-)
 from surefoot.sim.common.errors import SurefootError, did_you_mean
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
@@ -22,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from surefoot.sim.importing.advice import Changes
-    from surefoot.sim.log import Log
     from surefoot.sim.plausibility.finding import Finding
 
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
@@ -35,7 +29,7 @@ def _for_observers(_default: str) -> str:
 
 
 @options.command
-class Simulate(SimulateSettings):
+class Simulate(settings.SimulateSettings):
     """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
     resumed.
     """
@@ -52,7 +46,7 @@ class Simulate(SimulateSettings):
 
 
 @options.command
-class Import(CheckedSettings, ContactsSettings, OutputSettings):
+class Import(settings.CheckedSettings, settings.ContactsSettings, settings.OutputSettings):
     """Convert a recording to a log, by a map of its columns.
 
     Reads CSV and other text tables, JSON, NPZ, MAT, HDF5, Parquet, ROS 1, ROS 2 and MCAP, by the
@@ -91,9 +85,8 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
             raise SurefootError("--robot is only for --guess; the robot is named in the map")
         from surefoot.scenarios.estimate.inputs import findings_of, warned
         from surefoot.sim.importing.advice import advised_lines
-        from surefoot.sim.importing.recording import read_recording
 
-        recording = read_recording(files, self.map)
+        recording = surefoot.read_recording(files, self.map)
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")
@@ -134,7 +127,7 @@ class Import(CheckedSettings, ContactsSettings, OutputSettings):
 
 
 @options.command
-class Export(OutputSettings):
+class Export(settings.OutputSettings):
     """Write a log or an estimate for other tools: TUM, CSV or MCAP, by the suffix of --out; or
     convert an observer of an earlier surefoot.
     """
@@ -154,7 +147,7 @@ class Export(OutputSettings):
 
 
 @options.command
-class Info(CheckedSettings, ContactsSettings, options.JsonOption):
+class Info(settings.CheckedSettings, settings.ContactsSettings, options.JsonOption):
     """Show what a log contains, the quality of its reference, and what is implausible."""
 
     logs: tuple[Path, ...]
@@ -204,7 +197,7 @@ class Info(CheckedSettings, ContactsSettings, options.JsonOption):
         warned(findings, self.strict)
 
 
-def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
+def _lines(log: "surefoot.Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:
     """What to know about a log, and how filters start on it."""
     from surefoot.scenarios.estimate.inputs import start_note
     from surefoot.sim.importing.report import import_lines
@@ -214,35 +207,34 @@ def _lines(log: "Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str
 
 
 def _compared_contacts(
-    log: "Log", findings: "Sequence[Finding]", asked: bool
+    log: "surefoot.Log", findings: "Sequence[Finding]", asked: bool
 ) -> tuple[tuple[str, ...], "Changes"]:
     """What to say on the contacts of a log, and changes of its map: where asked for, or where they
     are in doubt and no finding corrects them.
     """
     from surefoot.scenarios.estimate.contact_sources import contact_lines
-    from surefoot.scenarios.stages import percent_bar
 
     doubted = [one for one in findings if any(x.startswith("contact_") for x in one.streams)]
     if any(one.changes for one in doubted):
         return ("contacts: to be compared with the lines for the map followed",) * asked, {}
     if not (asked or doubted):
         return (), {}
-    with percent_bar("contacts") as progress:
+    with reporting.percent_bar("contacts") as progress:
         return contact_lines(log, progress)
 
 
-def _summary(name: str, log: "Log") -> str:
+def _summary(name: str, log: "surefoot.Log") -> str:
     seconds, there = log.t[-1] - log.t[0], ", ".join(_groups(log))
     return f"{name}: {len(log.t)} samples, {seconds:.1f} s at {log.rate:.0f} Hz; {there}"
 
 
-def _groups(log: "Log") -> list[str]:
+def _groups(log: "surefoot.Log") -> list[str]:
     groups = ("imu", "q", "dq", "tau", "foot", "contact", "reference")
     return [group for group in groups if log.has(group)]
 
 
 @options.command
-class Align(AlignSettings, options.JsonOption):
+class Align(settings.AlignSettings, options.JsonOption):
     """Find clock offset, position and rotation of a reference from IMU and reference alone."""
 
     def run(self) -> None:
@@ -253,7 +245,7 @@ class Align(AlignSettings, options.JsonOption):
 
 
 @options.command
-class View(OutputSettings):
+class View(settings.OutputSettings):
     """Open a recording, a log, or a scenario's course before it is walked, in the rerun viewer."""
 
     file: Annotated[Positional[str], arg(metavar="FILE|SCENARIO")]
@@ -270,31 +262,31 @@ class View(OutputSettings):
     def run(self) -> None:
         from tempfile import TemporaryDirectory
 
-        from surefoot.sim.common.files import is_there
-
         path = Path(self.file)
         if path.suffix in (".rrd", ".parquet"):
             file_there(path)
-        elif path.suffix == ".toml":
-            scenario_file(path)
-        elif not is_there(path) and self.file not in bundled_scenarios():
+        elif path.suffix == ".toml" or self.file in bundled_scenarios():
+            scenario_file(self.file)
+        else:
             hint = did_you_mean(self.file, bundled_scenarios())
-            what = "recordings (.rrd), logs (.parquet) and scenarios (.toml or bundled)"
-            raise SurefootError(f"{self.file}: no such file or scenario; view opens {what}{hint}")
+            raise SurefootError(
+                f"{self.file}: view opens recordings (.rrd), logs (.parquet) and scenarios (.toml "
+                f"or bundled); `surefoot robots FILE -o PICTURE.png` draws a robot{hint}"
+            )
+        if path.suffix == ".rrd" and self.out:
+            raise SurefootError(f"-o: {self.file} is a recording already")
         from surefoot.scenarios.viewer.view import view, write_preview
 
         with TemporaryDirectory(prefix="surefoot_") as folder:
             shown = path
-            if path.suffix in (".parquet", ".toml") or not is_there(path):
+            if path.suffix != ".rrd":
                 shown = self.out or Path(folder) / f"{path.stem}.rrd"
                 write_preview(self.file, shown, self.robot, self.seed, self.force)
-            elif self.out:
-                raise SurefootError(f"-o: {self.file} is a recording already")
             print(shown) if self.out else view(shown, self.web)
 
 
 @options.command
-class Robots(OutputSettings, options.JsonOption):
+class Robots(settings.OutputSettings, options.JsonOption):
     """List the known robots, or show what is read from one of them or from a file."""
 
     robot: Annotated[
@@ -330,7 +322,7 @@ class Robots(OutputSettings, options.JsonOption):
 
 
 @options.command
-class New(OutputSettings):
+class New(settings.OutputSettings):
     """Write a working package of your own: an estimator with its test."""
 
     kind: Positional[Literal["estimator"]]

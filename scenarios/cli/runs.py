@@ -12,18 +12,8 @@ from typing import Any
 
 from surefoot.scenarios.cli.named import refuse_unnamed
 from surefoot.scenarios.cli.signals import say_if_interrupted
+from surefoot.sim.common import files
 from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError
-from surefoot.sim.common.files import (
-    cache_folder,
-    check_space,
-    clear_debris,
-    command_run,
-    folder_of,
-    is_there,
-    open_plain,
-    refuse_input,
-    unfinished,
-)
 from surefoot.sim.common.limits import check_limit
 
 try:
@@ -53,7 +43,7 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     another run, the disk is full, or others can write to the cache.
     """
     given = {f.name: getattr(command, f.name) for f in fields(command)}
-    own = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
+    exclusive = [given[name] for name in OUTPUTS_OF_ONE_RUN if given.get(name) is not None]
     shared = [given[name] for name in SHARED_OUTPUTS if given.get(name) is not None]
     outputs = OUTPUTS_OF_ONE_RUN + SHARED_OUTPUTS
     read = {name: value for name, value in given.items() if name not in outputs}
@@ -61,36 +51,36 @@ def guarded(name: str, command: Any) -> Iterator[None]:
     for option, value in given.items():
         if isinstance(value, int) and abs(value) > LARGEST_WHOLE:
             raise SurefootError(f"--{option}: must not be beyond 2^53")
-    for path in (*inputs, *own, *shared):
+    for path in (*inputs, *exclusive, *shared):
         whole = os.path.abspath(path)  # Python holds other bytes than UTF-8 as half characters
         if whole.encode(errors="ignore").decode() != whole:
             raise SurefootError(f"{whole}: the path is not UTF-8; rename it")
     refuse_unnamed(read)
-    cache_folder()
+    files.cache_folder()
     for option, limit in BOUNDED.items():
         if isinstance(given.get(option), int):
             check_limit(limit, given[option], f"--{option}")
     with ExitStack() as stack:
-        run = stack.enter_context(command_run(name, inputs))
-        for path in (*own, *shared):
-            refuse_input(path)
+        run = stack.enter_context(files.command_run(name, inputs))
+        for path in (*exclusive, *shared):
+            files.refuse_input(path)
         for option in FOLDER_OPTIONS:
             if given.get(option) and Path(given[option]).is_file():
                 raise SurefootError(f"--{option} {given[option]}: is a file, not a folder")
         if given.get("page"):
             from surefoot.scenarios.reporting.pages import check_page
 
-            check_page(given["page"], own)
-        for path in own:
+            check_page(given["page"], exclusive)
+        for path in exclusive:
             stack.enter_context(_alone(path))
-        say_if_interrupted(lambda: how_to_go_on(name, run.written, own))
+        say_if_interrupted(lambda: how_to_go_on(name, run.written, exclusive))
         yield
 
 
 def _paths(value: Any) -> list[Path]:
     """The files and folders in an option's value."""
     several = value if isinstance(value, tuple) else (value,)
-    return [Path(one) for one in several if isinstance(one, str | Path) and is_there(one)]
+    return [Path(one) for one in several if isinstance(one, str | Path) and files.is_there(one)]
 
 
 @contextmanager
@@ -101,9 +91,9 @@ def _alone(out: Path) -> Iterator[None]:
     out = Path(os.path.realpath(out))
     with ExitStack() as stack:
         try:
-            stack.enter_context(folder_of(out))
-            check_space(out.parent, SPACE)
-            clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
+            stack.enter_context(files.folder_of(out))
+            files.check_space(out.parent, SPACE)
+            files.clear_debris(out.parent.glob(f".{escape(out.name)}.*.tmp"))
             if fcntl:
                 stack.enter_context(_locked(out.with_name(f".{out.name}.lock"), out))
         except OSError as error:
@@ -115,7 +105,7 @@ def _alone(out: Path) -> Iterator[None]:
 def _locked(lock: Path, out: Path) -> Iterator[None]:
     assert fcntl
     while True:
-        stream = os.fdopen(open_plain(lock), "ab")
+        stream = os.fdopen(files.open_plain(lock), "ab")
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -125,21 +115,21 @@ def _locked(lock: Path, out: Path) -> Iterator[None]:
         if lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat()):
             break
         stream.close()
-    with stream, unfinished(lock):
+    with stream, files.unfinished(lock):
         yield
 
 
-def how_to_go_on(name: str, written: Sequence[Path], own: Sequence[Path]) -> str:
+def how_to_go_on(name: str, written: Sequence[Path], exclusive: Sequence[Path]) -> str:
     """Message of an interrupted command.
 
     Args:
         name: of the command.
         written: paths that it has finished.
-        own: its outputs. A command that can continue writes parts of them first, which do not
+        exclusive: its outputs. A command that can continue writes parts of them first, which do not
             count.
     """
     if name in GOES_ON:
-        whole = [Path(os.path.realpath(path)) for path in own]
+        whole = [Path(os.path.realpath(path)) for path in exclusive]
         written = [path for path in written if path in whole]
     if written:
         done = ", ".join(map(str, written))

@@ -5,26 +5,17 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+import surefoot
 from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
+from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
-from surefoot.scenarios.settings import (
-    GridSettings,
-    LearntSettings,
-    LoopSettings,
-    OutputSettings,
-    RealismSettings,
-    RobotSettings,
-    TraceInputs,
-    TraceSettings,
-    TuneSettings,
-)
 from surefoot.sim.common.errors import check_known
 from surefoot.sim.effects.catalogue import CATALOGUE
 
 
 @options.command
-class Demo(OutputSettings):
+class Demo(settings.OutputSettings):
     """Run the whole workflow in minutes: walk, train, calibrate, compare filters, trace."""
 
     out: Path = Path("out/demo")
@@ -39,20 +30,19 @@ class Demo(OutputSettings):
 
 
 @options.command
-class TraceCommand(TraceSettings):
+class TraceCommand(settings.TraceSettings):
     """Find the effects that a robot's model lacks; reports errors before and after adding them."""
 
     def run(self) -> None:
         from surefoot.scenarios.trace.run import trace_files
-        from surefoot.scenarios.trace.words import summary
 
         found = trace_files(self)
-        print(summary(found))
+        print(surefoot.trace_summary(found))
         print(f"\nreport: {self.out / 'report.html'}")
 
 
 @options.command
-class LoopCommand(LoopSettings, TraceInputs):
+class LoopCommand(settings.LoopSettings, settings.TraceInputs):
     """Trace a log, add the effects found to the simulation, retrain, and estimate the log again."""
 
     log: Path
@@ -60,26 +50,20 @@ class LoopCommand(LoopSettings, TraceInputs):
 
     def run(self) -> None:
         from surefoot.scenarios.estimate.inputs import read_logs
-        from surefoot.scenarios.reporting.tables import in_terminal
         from surefoot.scenarios.trace.loop import loop
-        from surefoot.scenarios.trace.loop_report import helped
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.log import Log
-        from surefoot.sim.robot import Robot
 
-        log = Log.read(self.log)
-        robot = Robot.for_log(log, self.robot)
+        log = surefoot.Log.read(self.log)
+        robot = surefoot.Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
-        table, worlds = loop(log, robot, self, declared, read_logs(self.holdout))
-        print("\n" + in_terminal(table))
-        print("\n" + helped(table, [world.name for world in worlds]))
+        print("\n" + loop(log, robot, self, declared, read_logs(self.holdout)))
         if not torch_is_installed():
-            print(f"\nNo observers are trained: {INSTALL_TORCH}")
-        print(f"\nreport: {self.out / 'report.html'}")
+            print(f"No observers are trained: {INSTALL_TORCH}\n")
+        print(f"report: {self.out / 'report.html'}")
 
 
 @options.command
-class Realism(RealismSettings, RobotSettings):
+class Realism(settings.RealismSettings, settings.RobotSettings):
     """Compare a measured log, quantity by quantity, with simulated walks at its speeds, stride
     period and posture.
     """
@@ -92,28 +76,21 @@ class Realism(RealismSettings, RobotSettings):
     """Robot to simulate instead of the log's; measured values are scaled to it."""
 
     def run(self) -> None:
-        from surefoot.scenarios.reporting.tables import to_markdown
-        from surefoot.scenarios.stages import percent_bar
-        from surefoot.scenarios.trace.realism import card_table, realism
+        from surefoot.scenarios.trace.realism import realism
         from surefoot.sim.effects.file import load_effects
-        from surefoot.sim.log import Log
-        from surefoot.sim.robot import Robot
 
-        log = Log.read(self.log)
-        robot = Robot.for_log(log, self.robot)
+        log = surefoot.Log.read(self.log)
+        robot = surefoot.Robot.for_log(log, self.robot)
         effects = load_effects(self.effects) if self.effects else ()
-        walker = Robot.load(self.walker) if self.walker else None
-        with percent_bar("walking") as bar:
-            found = realism(log, robot, self, effects, walker, bar)
-        for one in found:
-            print(f"\n{one.words}\n\n{to_markdown(card_table(one.card))}")
-            for name, why in one.card.missing.items():
-                print(f"missing: {name}: {why}")
-        print(f"\nreport: {self.out / 'report.html'}")
+        walker = surefoot.Robot.load(self.walker) if self.walker else None
+        with reporting.percent_bar("walking") as bar:
+            text = realism(log, robot, self, effects, walker, bar)
+        print(f"\n{text}")
+        print(f"report: {self.out / 'report.html'}")
 
 
 @options.command
-class ExperimentCommand(GridSettings):
+class ExperimentCommand(settings.GridSettings):
     """Run a grid of scenarios, robots, conditions, gammas, filters and seeds: one tidy table."""
 
     file: str
@@ -127,7 +104,7 @@ class ExperimentCommand(GridSettings):
 
 
 @options.command
-class Suite(GridSettings):
+class Suite(settings.GridSettings):
     """Reproduce the paper's two tables on the simulated suites, from simulation to table.
 
     Conditions: as drawn (each robot equals its model), as built (with errors drawn within
@@ -146,7 +123,7 @@ class Suite(GridSettings):
 
 
 @options.command
-class Tune(TuneSettings, LearntSettings):
+class Tune(settings.TuneSettings, settings.LearntSettings):
     """Search the best parameters of filters, with the same budget for each; an interrupted run is
     resumed.
 
@@ -181,20 +158,16 @@ class PlanCommand(options.JsonOption):
     ]
 
     def run(self) -> None:
-        from surefoot.scenarios.motion_plan import (
-            motion_table,
-            plan_motions,
-            plan_text,
-            recordings_to_make,
-        )
-        from surefoot.scenarios.stages import percent_bar
-        from surefoot.sim.robot import Robot
+        from surefoot.scenarios import motion_plan
 
-        with percent_bar("plan") as bar:
-            found = plan_motions(Robot.load(self.robot), self.effects, bar)
+        with reporting.percent_bar("plan") as bar:
+            found = motion_plan.plan_motions(surefoot.Robot.load(self.robot), self.effects, bar)
         if self.json:
             options.print_json(
-                {"effects": motion_table(found), "record": recordings_to_make(found)}
+                {
+                    "effects": motion_plan.motion_table(found),
+                    "record": motion_plan.recordings_to_make(found),
+                }
             )
         else:
-            print(plan_text(found))
+            print(motion_plan.plan_text(found))

@@ -8,7 +8,7 @@ it changes which samples count. Advice is given only if the estimate is then to 
 where there is a reference, has no larger error.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -18,13 +18,12 @@ from surefoot.estimator.evaluation.health import Health
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics
-from surefoot.scenarios.estimate.contact_sources import DELAYS, TRIED, least, rules_of
+from surefoot.scenarios.estimate.contact_sources import TRIED, LogVariant, least, moved, rules_of
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.estimate.run import Result, parameters_of, run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, StartSettings, StateSettings
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import advice_words
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -137,7 +136,8 @@ def advice(
     best = min(mending, key=lambda one: one.cost, default=None)
     # Contacts are replaced only where else another filter would be.
     if contact is not None and (best is None or best.remedy.filter != name):
-        mending += [one for one in _by_rules(plain, robot, tried) if one and _mends(before, one)]
+        rules = [_imported(plain, of, tried) for of in rules_of(plain.log, robot)]
+        mending += [one for one in rules if one and _mends(before, one)]
     left = "; not all changes were tried, as this filter is slow" * (perf_counter() > until)
     if not mending:
         return (
@@ -177,8 +177,7 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial 
         yield least(map(tried, noises), lambda one: -one.likelihood)
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
         for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
-            delays = (_earlier(plain, kinds, sign * delay) for delay in DELAYS)
-            yield least(map(tried, delays), lambda one: one.drift)
+            yield _imported(plain, moved(log, kinds, sign), tried)
     others = []
     usual = replace(settings, start=StartSettings(), state=StateSettings())
     if usual != settings:
@@ -190,14 +189,13 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial 
     yield from map(tried, others)
 
 
-def _by_rules(plain: Remedy, robot: Robot | None, tried: Try) -> Iterator[Trial | None]:
-    """Contacts by the best rule on each quantity of the log."""
-    for source in rules_of(plain.log, robot):
-        remedies = (
-            replace(plain, words=f"in the import map: {advice_words(one.changes)}", log=one.log)
-            for one in source
-        )
-        yield least(map(tried, remedies), lambda one: one.drift)
+def _imported(plain: Remedy, variants: Iterable[LogVariant], tried: Try) -> Trial | None:
+    """The best of some changes of the import map, tried."""
+    remedies = (
+        replace(plain, words=f"in the import map: {advice_words(one.changes)}", log=one.log)
+        for one in variants
+    )
+    return least(map(tried, remedies), lambda one: one.drift)
 
 
 def _with_noise(plain: Remedy, value: float) -> Remedy:
@@ -205,16 +203,6 @@ def _with_noise(plain: Remedy, value: float) -> Remedy:
     filters = {**every, plain.filter: {**every.get(plain.filter, {}), "contact": value}}
     words = f"set filters.{plain.filter}.contact={value:g}, the likeliest by its innovations"
     return replace(plain, words=words, settings=replace(plain.settings, filters=filters))
-
-
-def _earlier(plain: Remedy, kinds: tuple[str, ...], delay: float) -> Remedy:
-    """The log with the columns of these kinds earlier by a delay [s], or later if negative."""
-    entries = ", ".join(f"{one} = {delay:g}" for one in kinds)
-    words = (
-        f"{' and '.join(kinds)} seem {1e3 * abs(delay):.0f} ms {'late' if delay > 0 else 'early'}; "
-        f"in the import map: [even] late = {{ {entries} }}"
-    )
-    return replace(plain, words=words, log=log_at(plain.log, kinds, plain.log.t + delay))
 
 
 def _mends(before: Trial, after: Trial) -> bool:

@@ -143,8 +143,7 @@ class CoveragePersistent(ByObserver):
     def fusion(self, robot, learnt, parameters):
         """Bounds on the means of windows."""
         observer, bounds = learnt.bounded()
-        part = bounds.persistent_at(robot.R_BI)
-        model = persistent_error(part, parameters["persistent"])
+        part, model = persistent_error(robot, bounds, parameters)
         return observer, Fusion(lambda _: part.epsilon, bounds.gamma, model=model)
 
 
@@ -157,7 +156,8 @@ class Velocity(ByObserver):
 
     def fusion(self, robot, learnt, parameters):
         """The predicted covariance."""
-        return learnt.gaussian(), Fusion(inflation=parameters.get("inflation", 1.0))
+        inflation = parameters.get("inflation", 1.0)
+        return learnt.gaussian(), Fusion(cov=lambda predicted: inflation * predicted)
 
 
 class VelocityInflated(Velocity):
@@ -190,9 +190,8 @@ class VelocityPersistent(ByObserver):
     def fusion(self, robot, learnt, parameters):
         """The covariance of the mixing error."""
         observer, bounds = learnt.bounded()
-        part = bounds.persistent_at(robot.R_BI)
-        model = persistent_error(part, parameters["persistent"])
-        return observer, Fusion(cov=part.within, model=model)
+        part, model = persistent_error(robot, bounds, parameters)
+        return observer, Fusion(cov=lambda _: part.within, model=model)
 
 
 class Leg:
@@ -266,12 +265,16 @@ def imu_noise(parameters: Parameters) -> FilterNoise:
     return FilterNoise(*(parameters[name] for name in names))
 
 
-def persistent_error(part: BiasModel, factor: float) -> PersistentError:
-    """The filter's model of the calibrated persistent error, its prior deviations times
-    `factor`.
+def persistent_error(
+    robot: Robot, bounds: Bounds, parameters: Parameters
+) -> tuple[BiasModel, PersistentError]:
+    """The persistent part of bounds, and the filter's model of it, with its prior deviations times
+    the parameter `persistent`.
     """
-    prior, course = factor**2 * part.covariance, factor**2 * part.course
-    return PersistentError(prior, part.time_constant, part.window, part.max_error, course)
+    part, factor = bounds.persistent_at(robot.R_BI), parameters["persistent"] ** 2
+    prior, course = factor * part.covariance, factor * part.course
+    model = PersistentError(prior, part.time_constant, part.window, part.max_error, course)
+    return part, model
 
 
 class FilterStream:
@@ -315,28 +318,21 @@ class ImuStream(FilterStream):
 
 
 class Fusion(NamedTuple):
-    """How an observer's velocity is used.
-
-    With bounds of the joint level gamma, with a covariance cov (3, 3), or with the predicted
-    covariance times `inflation`; `model` is that of its persistent error, where that is estimated.
-    `epsilon` gives the bounds (3,) or (M, 3) [m/s] for the predicted covariances (M, 3, 3).
+    """How an observer's velocity is used, by functions of its predicted covariances (M, 3, 3): with
+    bounds (3,) or (M, 3) [m/s] of the joint level gamma, or with covariances (3, 3) or (M, 3, 3).
+    `model` is that of its persistent error, where that is estimated.
     """
 
-    epsilon: Callable[[np.ndarray | None], np.ndarray] | None = None
+    epsilon: Callable[[Any], np.ndarray] | None = None
     gamma: float = 0.0
-    cov: np.ndarray | None = None
-    inflation: float = 1.0
+    cov: Callable[[Any], np.ndarray] = np.asarray
     model: PersistentError | None = None
-
-    def covariance(self, predicted):
-        """Covariances (M, 3, 3) or (3, 3) of velocities, whose predicted ones are (M, 3, 3)."""
-        return self.inflation * predicted if self.cov is None else self.cov
 
     def velocities(self, rows, v_I, predicted, n: int) -> Velocities:
         """The updates at these rows of n."""
         if self.epsilon is not None:
             return bounded_velocities(rows, v_I, self.epsilon(predicted), n)
-        return gaussian_velocities(rows, v_I, self.covariance(predicted), n)
+        return gaussian_velocities(rows, v_I, self.cov(predicted), n)
 
 
 class ObserverFusion(ImuStream):
@@ -386,8 +382,7 @@ class ObserverFusion(ImuStream):
             pi = self.filter.update_coverage(v_I, epsilon, fusion.gamma)
             active = bool(pi < fusion.gamma)
             return Update(v_I, epsilon, pi, active) if np.isfinite(pi) else None
-        cov = fusion.covariance(predicted)
-        distance = self.filter.update_velocity(v_I, cov.reshape(3, 3))
+        distance = self.filter.update_velocity(v_I, fusion.cov(predicted).reshape(3, 3))
         return Update(v_I, active=bool(np.isfinite(distance)))
 
     def run(self, log: Log, rows: np.ndarray, more: bool = False) -> Trajectory:

@@ -57,9 +57,9 @@ _STANDS = 0.2
 
 
 @dataclass(frozen=True)
-class Contacts:
-    """Contacts from one source: its name, the changes of an import map that make them, and the log
-    with them.
+class LogVariant:
+    """A log as another import map makes it, such as with contacts from another source: the name of
+    the source, the changes of the map, and the log.
     """
 
     source: str
@@ -73,7 +73,7 @@ class TriedContacts:
     sections (NaN where unknown).
     """
 
-    contacts: Contacts
+    contacts: LogVariant
     trajectory: Trajectory
     squares: np.ndarray
 
@@ -98,7 +98,7 @@ class ContactComparison:
         return next((one for one in self.tried if one.contacts.source == AS_LOGGED), None)
 
     @property
-    def better(self) -> Contacts | None:
+    def better(self) -> LogVariant | None:
         """The best contacts, where their error is clearly less than with those as logged."""
         best, logged = self.tried[0], self.logged
         if best is logged or not np.isfinite(best.error):
@@ -182,7 +182,7 @@ def _why_it_does_not_run(log: Log, robot: Robot | None) -> str:
 
 def rules_of(
     log: Log, robot: Robot | None, shares: Iterable[float] = SHARES
-) -> Iterator[Iterator[Contacts]]:
+) -> Iterator[Iterator[LogVariant]]:
     """Contacts of a log from each quantity that it has, by rising threshold: along it, the error of
     a filter falls and then rises.
     """
@@ -191,17 +191,20 @@ def rules_of(
             yield _by_rule(log, of, contact_loads(log, of, robot), shares)
 
 
-def _moved(log: Log, sign: float) -> Iterator[Contacts]:
+def moved(log: Log, kinds: tuple[str, ...], sign: float) -> Iterator[LogVariant]:
+    """The log with the columns of these kinds earlier by each of DELAYS, or later if the sign is
+    negative.
+    """
     when = "earlier" if sign > 0 else "later"
     for delay in DELAYS:
-        changes = {"even": {"late": {"contact": sign * delay}}}
-        moved = log_at(log, ("contact",), log.t + sign * delay)
-        yield Contacts(f"{AS_LOGGED} but {1e3 * delay:.0f} ms {when}", changes, moved)
+        changes = {"even": {"late": dict.fromkeys(kinds, sign * delay)}}
+        other = log_at(log, kinds, log.t + sign * delay)
+        yield LogVariant(f"{AS_LOGGED} but {1e3 * delay:.0f} ms {when}", changes, other)
 
 
 def _by_rule(
     log: Log, of: Quantity, loads: dict[str, np.ndarray], shares: Iterable[float]
-) -> Iterator[Contacts]:
+) -> Iterator[LogVariant]:
     """Contacts by one threshold for each leg, between its loads in swing and in stance."""
     sign = ContactTable(0.0, 0.0, of).sign
     for share in shares:
@@ -211,7 +214,7 @@ def _by_rule(
             levels[leg] = float(f"{sign * (swing + share * (stance - swing)):.4g}")
         rule = ContactTable(levels, levels, of, debounce=_DEBOUNCE)
         stands = contacts_from_loads(log.t, loads, rule)
-        yield Contacts(f"from {of}", {"contact": vars(rule)}, log.with_columns(stands))
+        yield LogVariant(f"from {of}", {"contact": vars(rule)}, log.with_columns(stands))
 
 
 def compare_contacts(
@@ -231,7 +234,7 @@ def compare_contacts(
     log = log.rows(log.t <= log.t[0] + TRIED)
     by_reference = log.has("reference") and len(segments(reference(log).p_GI)[0]) > 0
 
-    def tried(contacts: Contacts) -> TriedContacts | None:
+    def tried(contacts: LogVariant) -> TriedContacts | None:
         try:
             found = run_filter("leg", contacts.log, robot).trajectory
         except SurefootError:
@@ -241,8 +244,8 @@ def compare_contacts(
         times, squares = (_by_segments if by_reference else _by_windows)(contacts.log, found)
         return TriedContacts(contacts, found, _in_blocks(log.t, times, squares))
 
-    found = [tried(Contacts(AS_LOGGED, {}, log))] if log.has("contact") else []
-    every = [_moved(log, sign) for sign in (1.0, -1.0)] if log.has("contact") else []
+    found = [tried(LogVariant(AS_LOGGED, {}, log))] if log.has("contact") else []
+    every = [moved(log, ("contact",), sign) for sign in (1.0, -1.0)] if log.has("contact") else []
     every += rules_of(log, robot, shares)
     for k, source in enumerate(every):
         progress(k / len(every))

@@ -22,18 +22,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from surefoot.estimator.core.checks import (
-    MOST_ACCEL,
-    MOST_ANGLE,
-    MOST_GYRO,
-    MOST_RATE,
-    MOST_REACH,
-    MOST_STEP,
-    MOST_TORQUE,
-    SampleError,
-    all_within,
-    real,
-)
+from surefoot.estimator.core import checks
 from surefoot.estimator.core.state import NavState
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.observer import Observer
@@ -244,18 +233,18 @@ def measured(sample: Sample, *groups: str) -> list[np.ndarray]:
     """These groups of a sample. Raises SampleError naming what is missing."""
     lacking = [group for group in groups if getattr(sample, group) is None]
     if lacking:
-        raise SampleError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
+        raise checks.SampleError(f"the sample at {sample.t:g} s lacks {', '.join(lacking)}")
     return [getattr(sample, group) for group in groups]
 
 
 LARGEST_READINGS = {
-    "gyro": MOST_GYRO,
-    "accel": MOST_ACCEL,
-    "q": MOST_ANGLE,
-    "dq": MOST_RATE,
-    "tau": MOST_TORQUE,
+    "gyro": checks.MOST_GYRO,
+    "accel": checks.MOST_ACCEL,
+    "q": checks.MOST_ANGLE,
+    "dq": checks.MOST_RATE,
+    "tau": checks.MOST_TORQUE,
     "contact": 1.0,
-    "foot_I": MOST_REACH,
+    "foot_I": checks.MOST_REACH,
 }
 """Field of a sample -> its largest magnitude."""
 GROUPS_OF_FIELDS = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
@@ -284,12 +273,13 @@ def check_sample(
         needed: fields that must not be None.
     """
     if not isinstance(sample, Sample):
-        raise SampleError(f"a sample must be a Sample, is a {type(sample).__name__}")
+        raise checks.SampleError(f"a sample must be a Sample, is a {type(sample).__name__}")
     t = float(_readings("the sample's t", sample.t, (), LATEST_STAMP))
     where = f"the sample at {t:.9g} s"
-    if not np.isnan(before) and not before < t <= before + MOST_STEP:
-        raise SampleError(
-            f"{where} does not follow the one at {before:.9g} s, or after more than {MOST_STEP:g} s"
+    if not np.isnan(before) and not before < t <= before + checks.MOST_STEP:
+        raise checks.SampleError(
+            f"{where} does not follow the one at {before:.9g} s, or after more than "
+            f"{checks.MOST_STEP:g} s"
         )
     measured(sample, *needed)
     if isinstance(sample, CheckedSample):
@@ -301,23 +291,23 @@ def check_sample(
     if (contact := found.get("contact")) is not None:
         found["contact"] = contact == 1.0
         if not (found["contact"] | (contact == 0.0)).all():
-            raise SampleError(f"{where}: contact must be 0 or 1")
+            raise checks.SampleError(f"{where}: contact must be 0 or 1")
     extra = {} if sample.extra is None else sample.extra
     if not isinstance(extra, Mapping) or not all(isinstance(x, Real) for x in extra.values()):
-        raise SampleError(f"{where}: extra must be numbers by name")
+        raise checks.SampleError(f"{where}: extra must be numbers by name")
     return CheckedSample._make(sample._replace(t=t, **found))
 
 
 def _readings(what: str, value: object, shape: tuple[int, ...] | None, most: float) -> np.ndarray:
     """A copy of a field's values as float64, of that shape if it is known."""
     try:
-        found = real(what, value)
+        found = checks.real(what, value)
     except SurefootError as error:
-        raise SampleError(f"{error}") from None
+        raise checks.SampleError(f"{error}") from None
     if shape is not None and found.shape != shape:
-        raise SampleError(f"{what} has shape {found.shape}, not {shape}")
-    if not all_within(found.ravel(), most):
-        raise SampleError(f"{what} is not finite, or beyond {most:g}")
+        raise checks.SampleError(f"{what} has shape {found.shape}, not {shape}")
+    if not checks.all_within(found.ravel(), most):
+        raise checks.SampleError(f"{what} is not finite, or beyond {most:g}")
     return found
 
 

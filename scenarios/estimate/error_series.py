@@ -8,6 +8,14 @@ from scipy.spatial.transform import Rotation
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.metrics import align_first, matched, vector_jacobian
 
+NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
+QUANTITIES = (
+    ("position", "position [m]", "xyz", 1.0),
+    ("attitude", "attitude [deg]", ("roll", "pitch", "yaw"), np.degrees(1.0)),
+    ("velocity", "velocity [m/s]", ("forward", "left", "up"), 1.0),
+)
+"""Field of an ErrorSeries, its title, its axes, and the factor to the unit of the title."""
+
 
 @dataclass(frozen=True)
 class ErrorSeries:

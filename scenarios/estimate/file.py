@@ -1,10 +1,10 @@
 """Estimate the file of a log, piece by piece: a short log is one piece."""
 
 import sys
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
+from itertools import tee
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,16 +18,10 @@ from surefoot.estimator.evaluation.trajectory import (
     trajectory_file,
 )
 from surefoot.estimator.metrics import METRICS_RATE, Metrics, evaluate, matched, relative_errors
+from surefoot.scenarios.estimate import run
 from surefoot.scenarios.estimate.advice import advice, needs_advice
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.inputs import learnt_from, not_plausible, notes_on, with_effects
-from surefoot.scenarios.estimate.run import (
-    declared_model,
-    estimated_in_chunks,
-    health_of,
-    joined_trajectory,
-    robot_of,
-)
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.scenarios.settings import EstimateSettings
 from surefoot.sim.common.errors import SurefootError, errors_in
@@ -86,34 +80,27 @@ def estimate_file(settings: EstimateSettings) -> EstimateOfFile:
     whole = whole or bool(reader.meta.effects) or settings.effects is not None
     first = next(Log.chunks(reader, np.inf if whole else LOG_PIECE))
     first.require("imu")
-    robot = robot_of(first, settings.robot)
+    robot = run.robot_of(first, settings.robot)
     read = with_effects(first, robot, settings.effects)
-    first, model = declared_model(read, robot)
+    first, model = run.declared_model(read, robot)
     for note in notes_on(first, model, learnt, chosen):
         print(f"note: {first.name}: {note}", file=sys.stderr)
     judge = _Judge(None if whole else reader)
     parts: list[RunSummary] = []
-    waiting: deque[Log] = deque()  # pieces that were read but not estimated
-
-    def pieces(logs: Iterable[Log]) -> Iterator[Log]:
-        for log in logs:
-            waiting.append(log)
-            yield log
-
+    pieces, same = tee([first] if whole else Log.chunks(reader, LOG_PIECE))
     with errors_in(f"filter {settings.filter}"), ExitStack() as files:
         write: Callable[[Trajectory], None] | None = None
-        chunks = pieces([first] if whole else Log.chunks(reader, LOG_PIECE))
-        for part in estimated_in_chunks(estimator, chunks, model, learnt, chosen):
+        estimates = run.estimated_in_chunks(estimator, pieces, model, learnt, chosen)
+        for part, log in zip(estimates, same, strict=False):  # ends where it diverged
             if settings.out is not None:
                 write = write or files.enter_context(
                     _opened(settings.out, settings.force, doubts, part if whole else None)
                 )
                 write(part)
-            log = waiting.popleft()
             parts.append(summary_of_run(part, log))
             judge.add(log, part)
         metrics = None if parts[-1].diverged else judge.metrics()
-    found = health_of(parts, estimator, model, first, chosen)
+    found = run.health_of(parts, estimator, model, first, chosen)
     advised = whole and not settings.no_advice and needs_advice(settings.filter, metrics, found)
     words = ""
     if advised:
@@ -179,7 +166,7 @@ class _Judge:
             return evaluate(*self._pairs[0])
         truths, estimates = zip(*self._pairs, strict=True)
         self._pairs.clear()  # to hold them only once
-        metrics = evaluate(joined_trajectory(truths), joined_trajectory(estimates))
+        metrics = evaluate(run.joined_trajectory(truths), run.joined_trajectory(estimates))
         n = self._segments
         trans, rot = np.sqrt(self._squares / n) if n else (np.nan, np.nan)
         return replace(metrics, rpe_trans=float(trans), rpe_rot=float(rot), segments=n)
@@ -189,7 +176,6 @@ def _thinned(part: Trajectory, every: int) -> Trajectory:
     """Keep one in `every` estimates, and as many updates, without holding on to the others."""
     updates = part.updates
     if updates is not None:
-        known = {name: value for name, value in vars(updates).items() if value is not None}
-        kept = {name: value[::every].copy() for name, value in known.items()}
+        kept = {name: x[::every].copy() for name, x in vars(updates).items() if x is not None}
         updates = replace(updates, **kept)
     return replace(part.rows(np.arange(0, len(part.t), every)), updates=updates)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
@@ -46,6 +46,7 @@ from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.robot.robot import Robot
 
 _R = TypeVar("_R", Robot, Robot | None)
+_P = TypeVar("_P", Trajectory, UpdateRecord)
 
 
 @dataclass(frozen=True)
@@ -352,15 +353,13 @@ def _record(updates: list[tuple[float, Update]]) -> UpdateRecord | None:
 def joined_trajectory(parts: Iterable[Trajectory]) -> Trajectory:
     """Concatenate successive trajectories."""
     parts = list(parts)
-    arrays = _joined(parts, "t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
     records = [part.updates for part in parts if part.updates is not None]
-    if not records:
-        return Trajectory(**arrays)
-    updates = UpdateRecord(**_joined(records, "t", "v_I", "epsilon", "pi", "active"))
-    return Trajectory(**arrays, updates=updates)
+    updates = _joined(records) if records else None
+    return replace(_joined(parts), updates=updates, innovations=None, diverged=False)
 
 
-def _joined(parts: Sequence[Any], *names: str) -> dict[str, Any]:
-    """Arrays of these names, each concatenated over the parts; None for those that they lack."""
-    values = {name: [getattr(part, name) for part in parts] for name in names}
-    return {name: None if v[0] is None else np.concatenate(v) for name, v in values.items()}
+def _joined(parts: Sequence[_P]) -> _P:
+    """The first part with the arrays of all of them."""
+    names = [name for name, value in vars(parts[0]).items() if isinstance(value, np.ndarray)]
+    arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **arrays)

@@ -67,7 +67,7 @@ def write_calibration_report(
     if bounds.mixing is not None:
         pictures = (Picture(mixing_curve(bounds.mixing), MIXING_CAPTION, "mixing.png"),)
     sections = [
-        Section("Findings", bounds_findings(bounds, coverage), _shown(coverage)),
+        Section("Findings", bounds_findings(bounds, coverage), coverage.filter(FIRST)),
         Section("Spacing of the errors", _mixing_prose(bounds), None, pictures),
     ]
     tests = [walk.errors for walk in others if walk.role == "test" and len(walk.errors)]
@@ -87,6 +87,8 @@ def write_calibration_report(
     return sections
 
 
+FIRST = ["walk", "role", "coverage [%]", "95 % interval", "bounds", "alarm"]
+"""Columns of coverage that a reader needs first."""
 MOST_NAMED = 3
 """Largest number of logs that are named."""
 METHODS_PROSE = (
@@ -159,12 +161,6 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
         f"{len(lost)} walks on which they are lost and on {other} of the {len(tests) - len(lost)} "
         "others. Bounds are a statement on walks like those of the calibration."
     )
-
-
-def _shown(walks: pd.DataFrame) -> pd.DataFrame:
-    """The columns of coverage that a reader needs first."""
-    names = ("walk", "role", "coverage [%]", "95 % interval", "bounds", "alarm")
-    return pd.DataFrame(walks, columns=[name for name in names if name in walks])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.estimate.error_series import NAMED_AXES, QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
     INK,
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
 
 _HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
-NAMED_AXES = (("x", "forward"), ("y", "left"), ("z", "up"))
 
 
 def trajectories(
@@ -165,14 +164,6 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     set_title(ax, "Position error, and each filter's own 3σ (dashed)")
     legend_below(figure, ax, columns=2)
     return figure
-
-
-QUANTITIES = (
-    ("position", "position [m]", "xyz", 1.0),
-    ("attitude", "attitude [deg]", ("roll", "pitch", "yaw"), np.degrees(1.0)),
-    ("velocity", "velocity [m/s]", ("forward", "left", "up"), 1.0),
-)
-"""Field of an ErrorSeries, its title, its axes, and the factor to the unit of the title."""
 
 
 def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:

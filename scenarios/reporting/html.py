@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
@@ -42,25 +42,18 @@ class Step:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `level` is
-    that of the heading: 3 for a part of the last section of level 2. `steps` are numbered. One that
-    is `folded` shows its heading until it is opened. `file` names the CSV that has the table where
-    a page of results links to it instead of showing it.
+    """A part of a report. `prose` is plain text; an empty line starts a new paragraph. `steps`
+    are numbered. One that is `folded` shows its heading until it is opened. `file` names the CSV
+    that has the table where a page of results links to it instead of showing it.
     """
 
     heading: str
     prose: str = ""
     table: Table | None = None
     pictures: tuple[Picture, ...] = ()
-    level: int = 2
     steps: tuple[Step, ...] = ()
     folded: bool = False
     file: str = ""
-
-
-def nested(sections: Sequence[Section]) -> list[Section]:
-    """The same as parts of the section that they come after."""
-    return [replace(section, level=section.level + 1) for section in sections]
 
 
 def write_report(
@@ -80,9 +73,7 @@ def write_report(
 def html_report(title: str, sections: Sequence[Section]) -> str:
     """The page that `write_report` writes."""
     links = [
-        f'<a href="#s{k}">{escape(s.heading)}</a>'
-        for k, s in enumerate(sections)
-        if s.level == 2 and not s.folded
+        f'<a href="#s{k}">{escape(s.heading)}</a>' for k, s in enumerate(sections) if not s.folded
     ]
     parts = [
         "<!DOCTYPE html>",
@@ -101,7 +92,7 @@ def markdown_report(title: str, sections: Sequence[Section]) -> str:
     """The same in Markdown: headings, words and tables, without the pictures."""
     parts = [f"# {in_markdown(title)}"]
     for section in sections:
-        parts += [in_markdown(heading(section)), without_tags(section.prose.strip())]
+        parts += [f"## {in_markdown(section.heading)}", without_tags(section.prose.strip())]
         for number, step in enumerate(section.steps, 1):
             command = f"\n\n       {step.command}" if step.command else ""
             parts.append(f"{number}. {in_markdown(step.words)}{command}")
@@ -109,13 +100,8 @@ def markdown_report(title: str, sections: Sequence[Section]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def heading(section: Section) -> str:
-    """A section's heading in Markdown."""
-    return f"{'#' * section.level} {section.heading}"
-
-
 def _section(number: int, section: Section) -> str:
-    title = f"<h{section.level}>{escape(section.heading)}</h{section.level}>"
+    title = f"<h2>{escape(section.heading)}</h2>"
     tag = "details" if section.folded else "section"
     title = f"<summary>{title}</summary>" if section.folded else title
     parts = [f'<{tag} id="s{number}">{title}']

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from surefoot.models.calibration.error_statistics import AxisErrors, error_statistics
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.samples import RATE
-from surefoot.scenarios.reporting.figures import NAMED_AXES
+from surefoot.scenarios.estimate.error_series import NAMED_AXES
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.palette import BOUNDS, INK, OUTSIDE, TEST, TRAIN
 from surefoot.scenarios.reporting.plotting import (
@@ -44,8 +44,14 @@ def error_section(
     except SurefootError as error:  # too few to test, not too few to cover
         return Section("The observer's errors", str(error))
     rows = [*error_table(of_train, "training"), *error_table(of_test, where)]
-    bound = bound_words(train, test, epsilon, gamma)
-    words = f"{bound}\n\n{error_words(of_train, of_test, where)}"
+    shares = [100 * float((np.abs(e) <= epsilon).all(axis=1).mean()) for e in (train, test)]
+    x, y, z = epsilon
+    words = (
+        f"The bound |error| <= {x:.3f}, {y:.3f}, {z:.3f} m/s on all axes at once, meant for "
+        f"{100 * gamma:g} %, holds for {shares[0]:.1f} % of the errors in training and for "
+        f"{shares[1]:.1f} % on {where}.\n\nShapes are tested at p < {LEVEL:g} on errors far enough "
+        "apart to be independent; with few of them a departure from a Gaussian may go undetected."
+    )
     pictures = (
         Picture(
             error_distributions(train, test, epsilon, gamma),
@@ -74,63 +80,21 @@ def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, objec
             "beyond 3 std [%]": 100 * e.beyond,
             "p D'Agostino": e.normal_p,
             "p Anderson-Darling": e.anderson_p,
+            "a Gaussian is": _gaussian(e),
             "independent": e.thinned,
         }
         for (_, word), e in zip(NAMED_AXES, found, strict=True)
     ]
 
 
-def error_words(
-    train: Sequence[AxisErrors], test: Sequence[AxisErrors], where: str = "test"
-) -> str:
-    """Describe the statistics, in a sentence or two per axis."""
-    sentences = [
-        f"{word.capitalize()}: in training {_shape(a)}; on {where} {_shape(b)}, and the errors "
-        f"spread {b.std / a.std:.1f} times as far."
-        for (_, word), a, b in zip(NAMED_AXES, train, test, strict=True)
-    ]
-    sentences.append(
-        f"Shapes are tested at p < {LEVEL:g} on errors far enough apart to be independent, "
-        f"{train[0].thinned} in training and {test[0].thinned} on {where}; with few of them a "
-        "departure from a Gaussian may go undetected."
-    )
-    return "\n\n".join(sentences)
-
-
-def bound_words(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma: float) -> str:
-    """Describe whether one bound holds on both."""
-    inside = [100 * float((np.abs(e) <= epsilon).all(axis=1).mean()) for e in (train, test)]
-    kept = [share >= 100 * gamma for share in inside]
-    verdict = {
-        (True, True): "One bound holds for both",
-        (True, False): "The bound holds in training and is lost on the test",
-        (False, True): "The bound holds on the test and not in training",
-        (False, False): "The bound holds on neither",
-    }[kept[0], kept[1]]
-    x, y, z = epsilon
-    return (
-        f"{verdict}: |error| <= {x:.3f}, {y:.3f}, {z:.3f} m/s on all axes at once, meant for "
-        f"{100 * gamma:g} %, holds for {inside[0]:.1f} % of the errors in training and "
-        f"{inside[1]:.1f} % of the others."
-    )
-
-
-def _shape(e: AxisErrors) -> str:
-    ways = []
-    if e.skewness_p < LEVEL:
-        side = "upwards" if e.skewness > 0 else "downwards"
-        ways.append(f"skewed {side} (skewness {e.skewness:+.2f})")
+def _gaussian(e: AxisErrors) -> str:
+    """Whether a Gaussian is rejected, and by what shape."""
+    ways = ["skewed"] if e.skewness_p < LEVEL else []
     if e.kurtosis_p < LEVEL:
-        tails = "heavy" if e.kurtosis > 0 else "light"
-        ways.append(f"with {tails} tails (excess kurtosis {e.kurtosis:+.2f})")
-    p = min(e.normal_p, e.anderson_p)
-    if p < LEVEL:
-        text = "they are not Gaussian" + (f", {' and '.join(ways)}" if ways else "")
-    else:
-        text = "a Gaussian is not rejected"
-    low, high = e.interval
-    biased = f"biased by {e.mean:+.3f} m/s ({low:+.3f} to {high:+.3f})"
-    return f"{text} (p = {p:.2g}), {biased if low > 0 or high < 0 else 'without a bias'}"
+        ways.append("heavy tails" if e.kurtosis > 0 else "light tails")
+    if min(e.normal_p, e.anderson_p) < LEVEL:
+        return ": ".join(filter(None, ("rejected", ", ".join(ways))))
+    return "not rejected"
 
 
 def error_distributions(
@@ -164,18 +128,16 @@ def error_distributions(
         bins = np.linspace(-edge, edge, 61).tolist()
         grid = np.linspace(-edge, edge, 400)
         top.axvspan(-epsilon[k], epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
-        shares = []
         for name, errors, color in sets:
             e = errors[:, k]
             top.hist(e, bins=bins, density=True, color=color, alpha=0.45, label=f"{name} errors")
             fit = norm.pdf(grid, e.mean(), e.std())
             label = f"Gaussian fit, {name.lower()}"
             top.plot(grid, fit, "--", color=color, linewidth=1.6, label=label)
-            shares.append(f"{name.lower()} {100 * (np.abs(e) <= epsilon[k]).mean():.1f} %")
             _quantiles(below, e, color, name)
         for sign in (-1, 1):
             top.axvline(sign * epsilon[k], color=BOUNDS, linewidth=1.2)
-        _title_axis(top, k, epsilon, shares)
+        _title_axis(top, k, epsilon, train, test)
         top.set(xlabel="error [m/s]", xlim=(-edge, edge), yticks=[])
         below.plot([-4, 4], [-4, 4], color=INK, linewidth=0.8)
         below.set(xlabel="Gaussian quantile [σ]", xlim=(-4, 4), ylim=(-7, 7))
@@ -204,13 +166,11 @@ def error_bounds(train: np.ndarray, test: np.ndarray, epsilon: np.ndarray, gamma
         edge = max(1.6 * epsilon[k], *[np.quantile(np.abs(e[:, k]), 0.995) for e in (train, test)])
         ax.axvspan(0, epsilon[k], color=BOUNDS, alpha=0.18, label="Bounds |e| ≤ ε")
         ax.axhline(100 * level, color=INK, linewidth=1.0, linestyle=":", label="level of each axis")
-        shares = []
         for name, e, color, line in (("Training", train, TRAIN, "-"), ("Test", test, TEST, "--")):
             sizes = np.sort(np.abs(e[:, k]))
             share = 100 * np.arange(1, len(sizes) + 1) / len(sizes)
             ax.plot(sizes, share, line, color=color, linewidth=1.9, label=f"{name} errors")
-            shares.append(f"{name.lower()} {100 * (sizes <= epsilon[k]).mean():.1f} %")
-        _title_axis(ax, k, epsilon, shares)
+        _title_axis(ax, k, epsilon, train, test)
         ax.set(xlabel="|error| [m/s]", xlim=(0, edge), ylim=(0, 101))
         ax.locator_params(axis="x", nbins=5)  # more would touch
     axes[0, 0].set_ylabel("errors that are smaller [%]")
@@ -261,10 +221,11 @@ def mixing_curve(mixing: Mixing) -> Figure:
     return figure
 
 
-def _title_axis(ax, k: int, epsilon: np.ndarray, shares: Sequence[str]) -> None:
+def _title_axis(ax, k: int, epsilon: np.ndarray, train: np.ndarray, test: np.ndarray) -> None:
     axis, word = NAMED_AXES[k]
-    text = f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\ninside: {', '.join(shares)}"
-    ax.set_title(text, fontsize=9)
+    a, b = (100 * (np.abs(errors[:, k]) <= epsilon[k]).mean() for errors in (train, test))
+    inside = f"inside: training {a:.1f} %, test {b:.1f} %"
+    ax.set_title(f"{axis} ({word}), ε = {epsilon[k]:.3g} m/s\n{inside}", fontsize=9)
 
 
 def _quantiles(ax, e: np.ndarray, color: str, name: str) -> None:

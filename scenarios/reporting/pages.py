@@ -11,7 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 
-from surefoot.scenarios.reporting.html import Section, heading, markdown_report, write_report
+from surefoot.scenarios.reporting.html import Section, markdown_report, write_report
 from surefoot.scenarios.reporting.plotting import png
 from surefoot.scenarios.reporting.tables import Table, to_csv, to_markdown
 from surefoot.sim.common.errors import SurefootError
@@ -90,7 +90,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section], origin: Orig
     for section in sections:
         shown = section if not section.file else Section(section.heading)
         if shown is section or section.pictures:
-            parts += [heading(section), shown.prose.strip()]
+            parts += [f"## {section.heading}", shown.prose.strip()]
         if shown.table is not None:
             parts.append(to_markdown(shown.table))
         for picture in section.pictures:

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
-from scipy.special import stdtrit
+from scipy.stats import ttest_1samp
 
 from surefoot.estimator.evaluation.health import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
@@ -16,26 +16,18 @@ from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.residuals.binning import at_rows
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
+from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, compensate_all
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine
 
-REPORTED = {
-    "ape_trans": "APE [m]",
-    "ape_rot": "APE [deg]",
-    "rpe_trans": "RPE [m]",
-    "rpe_rot": "RPE [deg/m]",
+REPORTED = {field: column for column, field in METRICS.items() if field != "pi_below_gamma"} | {
     "drift": "drift [m/m]",
     "velocity": "velocity [m/s]",
-    "nees_position": "NEES position",
-    "nees_velocity": "NEES velocity",
-    "nees_attitude": "NEES attitude",
 }
-"""Metrics of a filter and their headings."""
-_FIELDS = [name for name in REPORTED if name != "drift"]
-"""Those that are fields of `estimator.metrics.Metrics`."""
+"""Errors of a filter, `drift` and fields of `estimator.metrics.Metrics`, and their headings."""
 OF_POSITION = ("ape_trans", "rpe_trans", "drift", "velocity")
 """Errors of the position: the metrics of dead reckoning, which takes its attitude from the
 reference and has no covariance.
@@ -305,8 +297,8 @@ def harmful_to_filters(
             more = more[np.isfinite(more)]
             if len(more) < LOG_PARTS - 1 or np.mean(more) < np.log(HARM):
                 continue
-            doubt = stdtrit(len(more) - 1, 0.975) * np.std(more, ddof=1) / np.sqrt(len(more))
-            if (excess := float(np.mean(more) - doubt)) > 0.0:
+            excess = float(ttest_1samp(more, 0.0).confidence_interval().low)
+            if excess > 0.0:
                 worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
     return worst and (worst[1], f"it makes {worst[2]} worse")
 
@@ -322,7 +314,7 @@ def change_of_errors(sides: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[str, float]]]:
-    """Filter -> "before" or "after" -> metric (REPORTED and "drift") -> its mean over parts of
+    """Filter -> "before" or "after" -> each of REPORTED -> its mean over parts of
     logs.
     """
     means: dict[str, dict[str, dict[str, float]]] = {}
@@ -331,6 +323,6 @@ def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[s
         for i, side in enumerate(("before", "after")):
             rows = [vars(one.metrics[i]) | {"drift": one.drift[i]} for one in of_filter]
             means.setdefault(name, {})[side] = {
-                key: float(np.mean([row[key] for row in rows])) for key in (*_FIELDS, "drift")
+                key: float(np.mean([row[key] for row in rows])) for key in REPORTED
             }
     return means

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from surefoot.models.attribution.evidence import candidates_digest
 from surefoot.models.observer.observer import ObserverError
@@ -41,10 +40,10 @@ from surefoot.scenarios.trace.observer_errors import (
     tuned_on_measured,
 )
 from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
+from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
 from surefoot.scenarios.trace.training_walks import (
     DEFAULT_PLAN,
-    TrainingPlan,
     TrainingWalks,
     WalkedStyle,
     rates_as_of,
@@ -52,7 +51,6 @@ from surefoot.scenarios.trace.training_walks import (
     style_that_walks,
     with_style_share,
 )
-from surefoot.scenarios.trace.words import summary
 from surefoot.sim.common.errors import check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.sources import sources_digest
@@ -75,15 +73,12 @@ def loop(
     settings: LoopSettings,
     declared: Sequence[Effect] | None = None,
     holdout: Sequence[Log] = (),
-    plan: TrainingPlan = DEFAULT_PLAN,
-) -> tuple[pd.DataFrame, tuple[LoopWorld, ...]]:
+) -> str:
     """Close the loop on one log and write the results into `out`; an interrupted run is resumed.
     Without PyTorch it trains no observers, and does so once that is installed.
 
-    Returns the table, with one row per filter and each metric in each world, and the worlds: only
-    `before` if no effect was found and the plain gait is better. Raises
-    LogError if the log lacks IMU, joints or reference, and SurefootError if `out` has files of
-    another loop and `force` is not given.
+    Returns the findings as text. Raises LogError if the log lacks IMU, joints or reference, and
+    SurefootError if `out` has files of another loop and `force` is not given.
 
     Args:
         log: the measured log.
@@ -93,7 +88,6 @@ def loop(
             then looks for what has changed since (see `trace`).
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
             fitted.
-        plan: amount of walks and training.
     """
     out, seed = settings.out, settings.seed
     check_seed(seed)
@@ -109,7 +103,7 @@ def loop(
         "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
-        "training": asdict(plan),
+        "training": asdict(DEFAULT_PLAN),
     }
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
@@ -139,7 +133,7 @@ def loop(
 
     def style_of_walks() -> dict[str, Any]:
         with percent_bar("walking") as progress:
-            return asdict(style_that_walks(drawn, seed, plan, progress))
+            return asdict(style_that_walks(drawn, seed, progress=progress))
 
     walked = WalkedStyle()
     if trains:
@@ -152,7 +146,7 @@ def loop(
         learnt, simulated, measured = Learnt(), None, None
         if trains and name not in walked.fallen:
             walks = with_style_share(drawn[name], walked.share)
-            learnt, simulated = _learnt(walks, log, out / name, seed, plan)
+            learnt, simulated = _learnt(walks, log, out / name, seed)
         comparison = compare_log(*_compensated(log, robot, effects), learnt)
         if learnt.observers:
             measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
@@ -163,7 +157,7 @@ def loop(
 
     def tune() -> dict[str, Any] | str:
         learnt = worlds[-1].learnt
-        how = replace(plan.training, inputs=inputs_of(compensated), seed=seed)
+        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(compensated), seed=seed)
         try:
             found = learnt.observers[0], learnt.bounds[0]
             return asdict(tuned_on_measured(*found, compensated, corrected, how))
@@ -174,8 +168,7 @@ def loop(
     if worlds[-1].learnt.observers:
         kept = _kept(out / "tuned.json", tune)
         tuned = kept if isinstance(kept, str) else Tuned(**kept)
-    table = write_loop(log, robot, worlds, settings, choice, tuned)
-    return table, tuple(worlds)
+    return write_loop(log, robot, worlds, settings, choice, tuned)
 
 
 def inputs_of(log: Log) -> str:
@@ -217,9 +210,7 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
     return rates_as_of(compensated, log), model
 
 
-def _learnt(
-    walks: TrainingWalks, log: Log, out: Path, seed: int, plan: TrainingPlan
-) -> tuple[Learnt, ErrorParts]:
+def _learnt(walks: TrainingWalks, log: Log, out: Path, seed: int) -> tuple[Learnt, ErrorParts]:
     """Observers and bounds from simulated walks; trained unless already done.
 
     Also returns the parts of the observer's errors on the simulated walk of the calibration.
@@ -229,17 +220,16 @@ def _learnt(
         log: the measured log, whose columns determine the observers' inputs.
         out: folder of this world.
         seed: of walks and training.
-        plan: amount of walks and training.
     """
     from surefoot.scenarios.estimate.learning import learn, learnt_in
 
     done = out / "done"
     if not (done.exists() and all(map(as_made, out.glob("*.*")))):
         with percent_bar(f"walking: {out.name}") as progress:
-            training, calibration = simulate_training(walks, seed, plan, progress)
+            training, calibration = simulate_training(walks, seed, progress=progress)
         training = [rates_as_of(one, log) for one in training]
         calibration = rates_as_of(calibration, log)
-        how = replace(plan.training, inputs=inputs_of(log), seed=seed)
+        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(log), seed=seed)
         learnt = learn(training, calibration, out, how, force=True)
         _write(out / "errors.json", error_parts(learnt.observers[0], calibration))
         done.touch()

@@ -16,7 +16,7 @@ from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.figures import height_figure, trajectories
-from surefoot.scenarios.reporting.html import Picture, Section
+from surefoot.scenarios.reporting.html import Picture, Section, markdown_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.settings import LoopSettings
@@ -29,8 +29,7 @@ from surefoot.scenarios.trace.observer_errors import (
     recalibrated,
 )
 from surefoot.scenarios.trace.realism import GaitChoice
-from surefoot.scenarios.trace.report import channel_row
-from surefoot.scenarios.trace.words import caution
+from surefoot.scenarios.trace.report import caution, channel_row
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects import Effect
@@ -80,9 +79,9 @@ def write_loop(
     settings: LoopSettings,
     gait: GaitChoice,
     tuned: Tuned | str,
-) -> pd.DataFrame:
+) -> str:
     """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
-    errors of every filter.
+    findings as text.
 
     Args:
         log: the measured log.
@@ -108,8 +107,9 @@ def write_loop(
     walk = RecordedWalk(log, robot, drawn, last.prediction, last.bounds)
     write_recording(out / "loop.rrd", walk, force=True)
     findings = loop_findings(found, table, [world.name for world in worlds])
+    shown = table.filter(regex="^(filter|APE_trans|NEES_pos)")
     sections = [
-        Section("Findings", f"{findings} {observer_gain(worlds, tuned)}".strip(), overview(table)),
+        Section("Findings", f"{findings} {observer_gain(worlds, tuned)}".strip(), shown),
         *_pictures(log, worlds, drawn),
         Section("Method", _method(worlds)),
         Section("Errors of every filter", "", table, file="table"),
@@ -120,7 +120,7 @@ def write_loop(
     write_results(out, LOOP_TITLE, sections, force=True)
     if settings.page:
         write_page(settings.page, LOOP_TITLE, sections, origin_of(_MODULE, "surefoot loop"))
-    return table
+    return markdown_report(LOOP_TITLE, sections[:1])
 
 
 def _of_observers(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> list[Section]:
@@ -208,8 +208,8 @@ def _rows(worlds: Sequence[LoopWorld]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"filter": name}
         for heading, key in LOOP_METRICS.items():
             for world in worlds:
-                own = (r.metrics for r in world.comparison.results if r.filter == name)
-                row[f"{heading} {world.name}"] = getattr(next(own, None), key, None)
+                found = (r.metrics for r in world.comparison.results if r.filter == name)
+                row[f"{heading} {world.name}"] = getattr(next(found, None), key, None)
         for world in worlds:
             held = world.comparison.held.get(name)
             row[f"coverage [%] {world.name}"] = 100 * held.joint if held else None
@@ -237,15 +237,8 @@ def _trajectories(worlds: Sequence[LoopWorld]) -> dict[str, Trajectory]:
         f"{r.filter} {world.name}": r.trajectory
         for world in (worlds[0], worlds[-1])
         for r in world.comparison.results
-        if (own := traits(r.filter)).drawn and not own.variant
+        if (known := traits(r.filter)).drawn and not known.variant
     }
-
-
-def overview(table: pd.DataFrame) -> pd.DataFrame:
-    """The columns of position error and consistency, before and after, of the whole table."""
-    shown = [c for c in table if str(c).startswith(("filter", "APE_trans", "NEES_pos"))]
-    names = {c: str(c).replace("_trans", "").replace("_pos", "") for c in shown}
-    return pd.DataFrame(table, columns=shown).rename(columns=names)
 
 
 def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[str]) -> str:
@@ -258,13 +251,17 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     """
     ranked = table[[not traits(name).floor for name in table["filter"]]].set_index("filter")
     errors = {name: ranked[f"APE_trans [m] {name}"].dropna() for name in worlds}
-    first, last = worlds[0], worlds[-1]
-    gain = (ranked[f"APE_trans [m] {last}"] < ranked[f"APE_trans [m] {first}"]).sum()
-    main = (
-        f"With what `trace` found put into the simulation, {gain} of {len(errors[first])} filters "
-        "have a lower position error on the measured walk."
-    )
-    rest = [helped(table, worlds)]
+    before, after = (ranked[f"APE_trans [m] {name}"] for name in (worlds[0], worlds[-1]))
+    better = list(ranked.index[np.less(after, before)])
+    worse = list(ranked.index[np.greater_equal(after, before)])
+    main = "Whether the loop helps is not known: there is one simulated world only."
+    if len(worlds) > 1:
+        main = (
+            f"With what `trace` found put into the simulation, {len(better)} of {before.count()} "
+            "filters have a lower position error on the measured walk"
+            f"{': ' if better else ''}{', '.join(better)}. Not lower: {', '.join(worse) or 'none'}."
+        )
+    rest = []
     best = [f"`{e.idxmin()}` {name} ({e.min():.3f} m)" for name, e in errors.items()]
     rest.append(f"The lowest errors are those of {', '.join(best)}.")
     form = "{name} of {target}, {value:.4g} {unit}"
@@ -291,26 +288,6 @@ def observer_gain(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> str:
         return ""
     steps = [f"{np.linalg.norm(axes):.3f} m/s {name}" for name, axes in errors.items()]
     return f"The observer's velocity error on the measured walk is {', '.join(steps)}."
-
-
-def helped(table: pd.DataFrame, worlds: Sequence[str]) -> str:
-    """One sentence: which filters have a lower position error in the last world than in the first.
-
-    Args:
-        table: errors of every filter in every world.
-        worlds: their names.
-    """
-    first, last = worlds[0], worlds[-1]
-    if first == last:
-        return "Whether it helps is not known: there is one simulated world only."
-    names = "filter", f"APE_trans [m] {first}", f"APE_trans [m] {last}"
-    said: dict[str, list[str]] = {"helped": [], "did not help": []}
-    for name, before, after in table[list(names)].dropna().itertuples(index=False):
-        if not traits(name).floor:
-            how = "helped" if after < before else "did not help"
-            said[how].append(f"`{name}` ({before:.3f} m before, {after:.3f} m after)")
-    parts = (f"{how} {', '.join(those)}" for how, those in said.items() if those)
-    return f"The loop {', and '.join(parts) or 'has no filter to compare'}."
 
 
 def _method(worlds: Sequence[LoopWorld]) -> str:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.stats import ttest_1samp
 
 from surefoot.models.attribution.sensor_noise import reference_sampling, resample_reference
 from surefoot.models.realism.card import CARD_DIMENSIONS, Card, realism_card
@@ -89,34 +89,6 @@ class WalkComparison:
     pace: float
 
 
-@dataclass(frozen=True)
-class Drift:
-    """RPE of the leg filter over 1 m [m/m] with one model of the feet; NaN where it diverged."""
-
-    feet: str  # whose radius the model has, and the radius
-    measured: float
-    simulated: tuple[float, ...]  # of each walk
-
-    @property
-    def ratio(self) -> float:
-        """Mean of the simulated walks over the measured one."""
-        return float(np.mean(self.simulated)) / self.measured
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the ratio over the walks' seeds (Student's t); NaN for one walk."""
-        n = len(self.simulated)
-        if n < 2:
-            return np.nan, np.nan
-        half = student_t.ppf(0.975, n - 1) * np.std(self.simulated, ddof=1) / np.sqrt(n)
-        half = float(half) / self.measured
-        return self.ratio - half, self.ratio + half
-
-    @property
-    def alike(self) -> bool:
-        return abs(self.ratio - 1.0) <= WITHIN
-
-
 def realism(
     log: Log,
     robot: Robot,
@@ -124,8 +96,9 @@ def realism(
     effects: Sequence[Effect] = (),
     walker: Robot | None = None,
     progress: Report = lambda share: None,
-) -> tuple[WalkComparison, ...]:
-    """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`.
+) -> str:
+    """Compare and write realism.json, realism.csv, drift.csv, table.md and report.html into `out`;
+    returns the text of table.md.
 
     Compares walks of the robot as drawn and, with effects or `as_walked`, of the robot with these.
     Raises SurefootError where the log lacks a column or has too few strides, where the simulated
@@ -156,16 +129,16 @@ def realism(
     parts = realism_sections(found, drifts)
     with whole_folder(out, force) as folder:
         tables = {"realism": rows, "drift": drifts}
-        write_results(folder, title, [*parts, *cards], tables)
-        text = json.dumps(_json(found) | {"drift": drifts}, indent=2)
-        write_whole(folder / "realism.json", text + "\n")
+        text = write_results(folder, title, [*parts, *cards], tables)
+        values = json.dumps(_json(found) | {"drift": drifts}, indent=2)
+        write_whole(folder / "realism.json", values + "\n")
     if settings.page:
         filed = [
             Section("Realism card", "Every quantity.", rows, file="realism"),
             Section("Drift", f"The `{FILTER}` filter on each walk.", drifts, file="drift"),
         ]
         write_page(settings.page, title, [*parts, *filed], origin_of(__name__, "surefoot realism"))
-    return tuple(found)
+    return text
 
 
 def compare_walks(
@@ -396,44 +369,43 @@ def choose_gait(
     return GaitChoice(taken is walked, words, card_table(taken.card))
 
 
-def leg_drifts(found: WalkComparison) -> tuple[Drift, ...]:
-    """The drift with feet as in the measured log's model and, if different, with the foot radius of
-    the robot's file.
+def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, Any]]:
+    """RPE of the leg filter over 1 m [m/m], NaN where it diverged: one row per simulated robot with
+    feet as in the measured log's model and, if different, with the foot radius of the robot's file.
     """
-    views = (found.measured, *found.simulated)
-    drifts = []
-    for feet in ("as declared", "as in the robot's file"):
-        robots = [v.robot if feet == "as declared" else with_own_feet(v.robot) for v in views]
-        runs = [run_filter(FILTER, v.log, r).metrics for v, r in zip(views, robots, strict=True)]
-        rpe = [run.rpe_trans if run else np.nan for run in runs]
-        radii = 1e3 * robots[0].foot_radius.mean(), 1e3 * robots[1].foot_radius.mean()
-        words = f"{feet}: {radii[0]:.0f} mm" + (
-            "" if radii[0] == radii[1] else f", {radii[1]:.0f} mm in simulation"
-        )
-        drifts.append(Drift(words, rpe[0], tuple(rpe[1:])))
-        if np.allclose(with_own_feet(robots[0]).foot_radius, robots[0].foot_radius):
-            break
-    return tuple(drifts)
+    rows = []
+    for one in found:
+        robots = [view.robot for view in (one.measured, *one.simulated)]
+        in_file = [replace(r, foot_radius=Robot.load(r.file).foot_radius) for r in robots]
+        rows.append(_drift_row(one, "as declared", robots))
+        if not np.allclose(in_file[0].foot_radius, robots[0].foot_radius):
+            rows.append(_drift_row(one, "as in the robot's file", in_file))
+    return rows
 
 
-def with_own_feet(robot: Robot) -> Robot:
-    """The robot with the foot radius of its file."""
-    return replace(robot, foot_radius=Robot.load(robot.file).foot_radius)
+def _drift_row(one: WalkComparison, feet: str, robots: Sequence[Robot]) -> dict[str, Any]:
+    """The drift with one model of the feet for each walk, the measured one's first."""
+    views = (one.measured, *one.simulated)
+    runs = [run_filter(FILTER, v.log, r).metrics for v, r in zip(views, robots, strict=True)]
+    measured, *simulated = [run.rpe_trans if run else np.nan for run in runs]
+    radii = [f"{1e3 * robot.foot_radius.mean():.0f} mm" for robot in robots[:2]]
+    model = radii[0] if radii[0] == radii[1] else f"{radii[0]}, {radii[1]} in simulation"
+    ratio, low, high = ratio_of_drifts(measured, simulated)
+    return {
+        "simulated robot": one.words,
+        "model of the feet": f"{feet}: {model}",
+        "measured": measured,
+        "simulated": float(np.mean(simulated)),
+        "each walk": ", ".join(f"{x:.3f}" for x in simulated),
+        "ratio": ratio,
+        "over seeds, 95 %": f"{low:.2f} to {high:.2f}",
+        f"within {100 * WITHIN:.0f} %": "yes" if abs(ratio - 1.0) <= WITHIN else "no",
+    }
 
 
-def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, str | float]]:
-    """One row per simulated robot and model of the feet."""
-    return [
-        {
-            "simulated robot": one.words,
-            "model of the feet": drift.feet,
-            "measured": drift.measured,
-            "simulated": float(np.mean(drift.simulated)),
-            "each walk": ", ".join(f"{x:.3f}" for x in drift.simulated),
-            "ratio": drift.ratio,
-            "over seeds, 95 %": "{:.2f} to {:.2f}".format(*drift.interval),
-            f"within {100 * WITHIN:.0f} %": "yes" if drift.alike else "no",
-        }
-        for one in found
-        for drift in leg_drifts(one)
-    ]
+def ratio_of_drifts(measured: float, simulated: Sequence[float]) -> tuple[float, float, float]:
+    """Mean drift of the simulated walks over the measured one, and its 95 % interval over the
+    walks' seeds (Student's t); NaN for one walk.
+    """
+    interval = ttest_1samp(simulated, 0.0).confidence_interval()
+    return float(np.mean(simulated)) / measured, interval.low / measured, interval.high / measured

@@ -5,15 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from surefoot.models.realism.quantities import (
-    DIRECTIONS_OF_FEET,
-    FREQUENCIES,
-    duty,
-    missed_share,
-    period,
-    spectra,
-    walk_stance_means,
-)
+from surefoot.models.realism import quantities
 from surefoot.models.realism.walk_view import WalkView
 from surefoot.scenarios.reporting.html import Picture
 from surefoot.scenarios.reporting.palette import AFTER, BEFORE, INK, OUTSIDE
@@ -56,7 +48,7 @@ def _standing_speed(walks: Walks) -> Figure:
             _band(ax, phase, speed, label, color)
         ax.axhline(0.0, color=INK, linewidth=0.8)
         ax.set(xlabel="phase of stance", ylabel="m/s")
-        set_title(ax, DIRECTIONS_OF_FEET[a])
+        set_title(ax, quantities.DIRECTIONS_OF_FEET[a])
     legend_below(figure, axes[0, 0])
     return figure
 
@@ -85,10 +77,10 @@ def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> 
 def _by_speed(walks: Walks) -> Figure:
     figure, ax = single_axes(7.5, 4.0)
     for label, color, group in walks:
-        values = np.concatenate([walk_stance_means(w)[0] for w in group])
+        values = np.concatenate([quantities.walk_stance_means(w)[0] for w in group])
         ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
         speed = np.array([0.0, values[:, 0].max()])
-        ax.plot(speed, missed_share(values) * speed, color=color, label=label)
+        ax.plot(speed, quantities.missed_share(values) * speed, color=color, label=label)
     ax.set(xlabel="forward speed of the base in a stance [m/s]", ylabel="missed by the leg [m/s]")
     legend_below(figure, ax)
     return figure
@@ -96,8 +88,8 @@ def _by_speed(walks: Walks) -> Figure:
 
 def _gait(walks: Walks) -> Figure:
     figure, axes = new_figure(1, 2, size=(9.0, 3.4))
-    quantities = {"duty factor": duty, "stride period [s]": period}
-    for ax, (words, quantity) in zip(axes[0], quantities.items(), strict=True):
+    shown = {"duty factor": quantities.duty, "stride period [s]": quantities.period}
+    for ax, (words, quantity) in zip(axes[0], shown.items(), strict=True):
         each = [np.concatenate([quantity(w)[0] for w in group]) for _, _, group in walks]
         low, high = np.percentile(np.concatenate(each), (1, 99))
         edges = np.linspace(low, high, 31)
@@ -129,8 +121,8 @@ def _spectra(walks: Walks) -> Figure:
     units = {"accel": "(m/s^2)^2/Hz", "gyro": "(rad/s)^2/Hz"}
     for ax, (sensor, unit) in zip(axes[0], units.items(), strict=True):
         for label, color, group in walks:
-            density = np.concatenate([spectra(w, sensor)[0] for w in group]).mean(axis=0)
-            ax.loglog(FREQUENCIES, density, color=color, label=label)
+            density = np.concatenate([quantities.spectra(w, sensor)[0] for w in group]).mean(axis=0)
+            ax.loglog(quantities.FREQUENCIES, density, color=color, label=label)
         ax.set(xlabel="Hz", ylabel=unit)
         set_title(ax, {"accel": "accelerometer", "gyro": "gyro"}[sensor])
     legend_below(figure, axes[0, 0])

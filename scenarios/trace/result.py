@@ -28,7 +28,6 @@ class Trace(Diagnosis):
         causes: of the leg filter's drift (`scenarios.trace.filters.causes_of_drift`), on held-out
             logs where there are any. None where that filter does not run.
         warnings: those of the notes that say what is implausible in the logs.
-        motion: what to record to distinguish rival explanations.
         steps: what to do next.
         limbs: of the machine.
     """
@@ -40,7 +39,6 @@ class Trace(Diagnosis):
     causes: DriftCauses | None = None
     warnings: tuple[str, ...] = ()
     steps: tuple[Step, ...] = ()
-    motion: str = ""
     limbs: Limbs = field(default_factory=lambda: Limbs((), (), ()))
 
     @property
@@ -52,6 +50,12 @@ class Trace(Diagnosis):
     def judged_filters(self) -> Filters:
         """Metrics of the filters on the held-out logs; without any, on the end of each log."""
         return self.unseen_filters if self.held_out else self.filters
+
+    @property
+    def motion(self) -> str:
+        """What to record to distinguish rival explanations."""
+        known = known_effects()
+        return "; ".join(dict.fromkeys(known[one["name"]].traced.motion for one in self.rivals))
 
     @property
     def rounds(self) -> tuple[tuple[Candidate, ...], ...]:

@@ -18,19 +18,11 @@ from surefoot.scenarios.estimate.inputs import not_plausible
 from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.stages import percent_bar
-from surefoot.scenarios.trace.filters import (
-    BeforeAfter,
-    before_and_after,
-    causes_of_drift,
-    change_of_errors,
-    harmful_to_filters,
-    mean_metrics,
-)
+from surefoot.scenarios.trace import filters
 from surefoot.scenarios.trace.long_logs import in_blocks, note_on_blocks, read_in_blocks
 from surefoot.scenarios.trace.next_steps import next_steps
 from surefoot.scenarios.trace.report import write_outputs
 from surefoot.scenarios.trace.result import Trace
-from surefoot.scenarios.trace.words import motion_to_distinguish
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
 from surefoot.sim.common.limits import bounded_json
@@ -164,7 +156,7 @@ def trace_logs(
     """
     report = progress or (lambda share: None)
     learnt = options.learnt
-    judged = replace(options, harmful=harmful_to_filters)
+    judged = replace(options, harmful=filters.harmful_to_filters)
     found = diagnose(logs, robot, judged, lambda share: report(0.88 * share))
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
@@ -172,11 +164,11 @@ def trace_logs(
     stretches = _filtered(cases, found.effects, learnt, _REPORT_SHARE)
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
     unseen = _filtered(held_out, found.effects, learnt, 1.0)
-    filters, unseen_filters = mean_metrics(stretches), mean_metrics(unseen)
+    metrics, unseen_metrics = filters.mean_metrics(stretches), filters.mean_metrics(unseen)
     harm = tuple(
         f"{name} filter: larger error with the effects found"
-        for name, sides in (unseen_filters or filters).items()
-        if change_of_errors(sides) == "worse"
+        for name, sides in (unseen_metrics or metrics).items()
+        if filters.change_of_errors(sides) == "worse"
     )
     report(1.0)
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
@@ -186,32 +178,31 @@ def trace_logs(
     known = vars(replace(found, notes=(*warnings, *found.notes, *harm)))
     return Trace(
         **known,
-        filters=filters,
+        filters=metrics,
         stretches=stretches,
-        unseen_filters=unseen_filters,
+        unseen_filters=unseen_metrics,
         worse=(*(name for name, c in found.channels.items() if c.worse), *harm),
-        causes=causes_of_drift(held_out or cases, found.effects),
+        causes=filters.causes_of_drift(held_out or cases, found.effects),
         warnings=(*warnings, *dead),
-        motion=motion_to_distinguish([r["name"] for r in found.rivals]) if found.rivals else "",
         limbs=robot.limbs,
     )
 
 
 def _filtered(
     cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt, share: float
-) -> tuple[BeforeAfter, ...]:
+) -> tuple[filters.BeforeAfter, ...]:
     """Every filter on the last `share` (0 to 1) of each log, without and with the effects found.
 
     Omits logs of machines on a fixed base or without an IMU, on which no filter runs, and those
     without a reference, which cannot be evaluated.
     """
-    done: list[BeforeAfter] = []
+    done: list[filters.BeforeAfter] = []
     for case in cases:
         if case.fixed or not (case.log.has("imu") and case.log.has("reference")):
             continue
         t = case.log.t
         begin = t[0] + (1 - share) * (t[-1] - t[0])
-        done += before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
+        done += filters.before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
     return tuple(done)
 
 

@@ -186,8 +186,6 @@ def style_that_walks(
         return WalkedStyle()
     fallen = falls(0.0, walks)
     names = [name for name in walks if name not in fallen]
-    if not names:
-        return WalkedStyle(fallen=tuple(fallen))
     low, high = 0.0, 1.0
     if not falls(high, names):
         low = high

@@ -11,10 +11,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from surefoot.scenarios.estimate.error_series import NAMED_AXES, QUANTITIES
 from surefoot.scenarios.estimate.estimators import shown_at_first
 from surefoot.scenarios.viewer.scene import estimate_path, trunk_size
 from surefoot.scenarios.viewer.series import BANDS
-from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
 
@@ -28,12 +28,6 @@ _THIN = "band: ±3σ"
 _SHARES = (4, 6, 5, 4)  # heights of the overview's plots: legends need the second's
 EXPLANATION = "What is this?"
 """The tab that is open initially."""
-_AXIS_WORDS = {"x": "forward", "y": "left", "z": "up"}
-_ANGLE_WORDS = {
-    "roll": "Roll error (about forward)",
-    "pitch": "Pitch error (about left)",
-    "yaw": "Yaw error (about up)",
-}
 
 
 def layout(
@@ -56,20 +50,15 @@ def layout(
     distance = ("/distance", "Distance between estimate and truth [m], thin: the filter's own 3σ")
     errors = [_whole_walk(log, shown, *distance)] if estimators else []
     tabs: dict[str, list[rrb.View]] = {
-        "Overview": [_velocity("x"), *errors, *_feet(log)],
-        "Velocity and bounds": [_velocity(axis) for axis in AXES],
+        "Overview": [_velocity(*NAMED_AXES[0]), *errors, *_feet(log)],
+        "Velocity and bounds": [_velocity(*axis) for axis in NAMED_AXES],
     }
-    if estimators:
-        tabs["Position error"] = [
-            _whole_walk(
-                *(log, shown, f"/position_error/{axis}"),
-                f"Position error along {axis} of the world [m], {_THIN}",
-            )
-            for axis in AXES
-        ]
-        tabs["Attitude error"] = [
-            _whole_walk(log, shown, f"/attitude_error/{angle}", f"{words} [deg], {_THIN}")
-            for angle, words in _ANGLE_WORDS.items()
+    for kind, words, axes, _ in QUANTITIES[:2] if estimators else ():
+        quantity, _, unit = words.partition(" ")
+        title = f"{quantity.capitalize()} error"
+        tabs[title] = [
+            _whole_walk(log, shown, f"/{kind}_error/{axis}", f"{title}, {axis} {unit}, {_THIN}")
+            for axis in axes
         ]
     if set(shown) != set(estimators):
         tabs["All estimators"] = [
@@ -169,8 +158,8 @@ def _whole_walk(log: Log, estimators: Sequence[str], origin: str, name: str) -> 
     )
 
 
-def _velocity(axis: str) -> rrb.TimeSeriesView:
-    along = f"{axis} of the IMU ({_AXIS_WORDS[axis]})"
+def _velocity(axis: str, word: str) -> rrb.TimeSeriesView:
+    along = f"{axis} of the IMU ({word})"
     colours = "truth grey, magenta outside the bounds (band); observer orange"
     return _plot(f"/velocity/{axis}", f"Velocity along {along} [m/s]: {colours}", _NO_LEGEND)
 

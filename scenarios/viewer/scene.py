@@ -22,8 +22,8 @@ from surefoot.scenarios.viewer.shapes import (
     geom_shapes,
     height_field,
     link_poses,
-    link_shapes,
     rerun_quaternion,
+    visible_geoms,
 )
 from surefoot.sim.common.series import rows_every
 from surefoot.sim.ground.ground_metadata import thinned
@@ -170,16 +170,14 @@ def _write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
     dot = rr.Points3D([[0.0, 0.0, 0.0]], colors=[rgba(TRUTH)], radii=[_pixels(7.0)])
     stream.log("world/robot/dot", dot, static=True)
     _send_shapes(stream, "world/robot", model, base)
-    for link in link_poses(model, base, joints, log.q[rows]):
-        path = f"world/robot/{link.path}"
-        if np.ptp(link.p, axis=0).max() + np.ptp(link.R, axis=0).max() < 1e-9:
-            pose = rr.Transform3D(
-                translation=link.p[0], quaternion=rerun_quaternion(link.R[0]).tolist()
-            )
-            stream.log(path, pose, static=True)
+    for body, chain, p, R in link_poses(model, base, joints, log.q[rows]):
+        path = f"world/robot/{chain}"
+        if np.ptp(p, axis=0).max() + np.ptp(R, axis=0).max() < 1e-9:
+            turn = rerun_quaternion(R[0]).tolist()
+            stream.log(path, rr.Transform3D(translation=p[0], quaternion=turn), static=True)
         else:
-            _send_poses(stream, path, t, link.p, link.R)
-        _send_shapes(stream, path, model, link.body)
+            _send_poses(stream, path, t, p, R)
+        _send_shapes(stream, path, model, body)
 
 
 def _write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:
@@ -355,5 +353,5 @@ def _send_poses(stream, path: str, t: np.ndarray, p: np.ndarray, R: np.ndarray) 
 
 
 def _send_shapes(stream, path: str, model: mujoco.MjModel, body: int) -> None:
-    for name, shape in link_shapes(model, body):
+    for name, shape in geom_shapes(model, visible_geoms(model, body)):
         stream.log(f"{path}/{name}", shape, static=True)

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from surefoot.estimator.evaluation.trajectory import UpdateRecord
-from surefoot.scenarios.estimate.error_series import ErrorSeries
+from surefoot.scenarios.estimate.error_series import QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
     OBSERVER,
@@ -33,7 +33,6 @@ BANDS = "3_sigma"
 """Path of the estimators' bands: series are drawn in the order of their names, "error" after it."""
 _BAND, _FAINT = 0.25, 0.06
 """Opacity of the strokes of a single band, and of one of several overlapping ones."""
-ANGLES = ("roll", "pitch", "yaw")
 
 
 def write_velocity(
@@ -80,12 +79,10 @@ def write_errors(stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries]) 
         if error.distance_sigma is not None:
             root, sigma = f"distance/{BANDS}/{part}", error.distance_sigma
             _send(stream, root, error.t, 3.0 * sigma, _lines(f"{name} 3σ", color, 1.0, 0.5))
-        for kind, names, values, sigma, scale in (
-            ("position_error", AXES, error.position, error.position_sigma, 1.0),
-            ("attitude_error", ANGLES, error.attitude, error.attitude_sigma, 180.0 / np.pi),
-        ):
+        for kind, _, names, scale in QUANTITIES[:2]:  # velocities have plots of their own
+            values, sigma = getattr(error, kind), getattr(error, f"{kind}_sigma")
             for k, axis in enumerate(names):
-                root, off = f"{kind}/{axis}", scale * values[:, k]
+                root, off = f"{kind}_error/{axis}", scale * values[:, k]
                 _send(stream, f"{root}/error/{part}", error.t, off, _lines(name, color, 2.0))
                 if sigma is not None:
                     half, path = 3.0 * scale * sigma[:, k], f"{root}/{BANDS}/{part}"

@@ -1,7 +1,6 @@
 """Conversion of a MuJoCo model to rerun shapes: geoms, meshes and height fields, and link poses."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import mujoco
@@ -25,16 +24,6 @@ _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)
 _DEFAULT_COLOR = (96, 104, 114, 255)
 
 
-@dataclass(frozen=True)
-class LinkPose:
-    """Pose of one link in its parent link's frame, one row per sample."""
-
-    body: int
-    path: str  # the chain of links below the base, "FL_hip/FL_thigh"
-    p: np.ndarray  # (N, 3) m, in the parent's frame
-    R: np.ndarray  # (N, 3, 3), maps the link's frame to the parent's
-
-
 def rerun_quaternion(R: np.ndarray) -> np.ndarray:
     """Rotations (..., 3, 3) as quaternions (..., 4) ordered x, y, z, w, as rerun takes them."""
     return quaternion_from_matrix(R)[..., [1, 2, 3, 0]]
@@ -42,8 +31,10 @@ def rerun_quaternion(R: np.ndarray) -> np.ndarray:
 
 def link_poses(
     model: mujoco.MjModel, base: int, joint_ids: np.ndarray, q: np.ndarray
-) -> list[LinkPose]:
-    """Forward kinematics, by MuJoCo, of every link below body `base`.
+) -> Iterator[tuple[int, str, np.ndarray, np.ndarray]]:
+    """Forward kinematics, by MuJoCo, of every link below body `base`: its body, its path, which is
+    the chain of links below the base ("FL_hip/FL_thigh"), and in its parent's frame its positions
+    (N, 3) [m] and rotations (N, 3, 3).
 
     Args:
         model: the compiled robot.
@@ -58,11 +49,9 @@ def link_poses(
     for k, row in enumerate(q):
         data.qpos[address] = row
         mujoco.mj_kinematics(model, data)
-        p[k] = data.xpos
-        R[k] = data.xmat
+        p[k], R[k] = data.xpos, data.xmat
     R = R.reshape(len(q), model.nbody, 3, 3)
     paths = {base: ""}
-    poses = []
     for body in range(base + 1, model.nbody):
         parent = int(model.body_parentid[body])
         if parent not in paths:
@@ -71,19 +60,16 @@ def link_poses(
         paths[body] = f"{paths[parent]}/{name}".lstrip("/")
         R_PG = R[:, parent].transpose(0, 2, 1)
         p_PL = np.einsum("nij,nj->ni", R_PG, p[:, body] - p[:, parent])
-        poses.append(LinkPose(body, paths[body], p_PL, R_PG @ R[:, body]))
-    return poses
+        yield body, paths[body], p_PL, R_PG @ R[:, body]
 
 
-def link_shapes(model: mujoco.MjModel, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
-    """(entity name, archetype) for the visible geoms of one body, in that body's own frame.
-
-    Draws the geoms that MuJoCo would show (groups 0 to 2) or, for a body without any, its collision
-    geoms, so that no link is invisible.
+def visible_geoms(model: mujoco.MjModel, body: int) -> np.ndarray:
+    """The geoms of a body that MuJoCo would show (groups 0 to 2) or, where there are none, its
+    collision geoms, so that no link is invisible.
     """
     geoms = np.flatnonzero(model.geom_bodyid == body)
     shown = geoms[model.geom_group[geoms] < _COLLISION_GROUP]
-    yield from geom_shapes(model, shown if len(shown) else geoms)
+    return shown if len(shown) else geoms
 
 
 def geom_shapes(
@@ -98,21 +84,18 @@ def geom_shapes(
         if len(mine):
             name = kind.name.removeprefix("mjGEOM_").lower()
             place, R = model.geom_pos[mine], matrix_from_quaternion(model.geom_quat[mine])
+            centre = "centers"
             if archetype is rr.Capsules3D:
                 # Rerun's capsule starts at its origin, while MuJoCo's is centred on it.
-                place = {"translations": place - model.geom_size[mine, 1, None] * R[:, :, 2]}
-            else:
-                place = {"centers": place}
-            yield (
-                name,
-                archetype(
-                    **sizes(model.geom_size[mine]),
-                    **place,
-                    quaternions=rerun_quaternion(R),
-                    colors=[color or _geom_color(model, int(geom)) for geom in mine],
-                    fill_mode=fill,
-                ),
+                centre, place = "translations", place - model.geom_size[mine, 1, None] * R[:, :, 2]
+            shape = archetype(
+                **sizes(model.geom_size[mine]),
+                **{centre: place},
+                quaternions=rerun_quaternion(R),
+                colors=[color or _geom_color(model, int(geom)) for geom in mine],
+                fill_mode=fill,
             )
+            yield name, shape
     for geom in geoms[model.geom_type[geoms] == _GEOM.mjGEOM_MESH]:
         yield f"mesh_{geom}", _mesh(model, int(geom), color)
 

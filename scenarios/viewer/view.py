@@ -29,7 +29,14 @@ def view(path: str | Path, web: bool = False) -> None:
     The server listens on 127.0.0.1 only. Raises SurefootError where `path` is missing or is no
     recording, or where the viewer ends with an error.
     """
-    file = recording_file(path)
+    file = Path(path)
+    if not is_file(file):
+        raise SurefootError(f"{file}: no such file")
+    with file.open("rb") as stream:
+        start = stream.read(4)
+    if start not in _MAGIC:
+        raise SurefootError(f"{file}: is not a rerun recording")
+    check_unchanged(file)
     how = "--web-viewer" if web else "--new"
     command = [sys.executable, "-m", "rerun", how, "--bind", "127.0.0.1", str(file)]
     try:
@@ -39,24 +46,6 @@ def view(path: str | Path, web: bool = False) -> None:
     if code != 0:
         hint = "" if web else "; without a screen, try web"
         raise SurefootError(f"{file}: the rerun viewer ended with exit code {code}{hint}")
-
-
-def recording_file(path: str | Path) -> Path:
-    """The path, if it is a rerun recording. Raises SurefootError in one line if not."""
-    file = Path(path)
-    if not is_file(file):
-        raise SurefootError(f"{file}: {'is a folder' if file.is_dir() else 'no such file'}")
-    if file.suffix != ".rrd":
-        raise SurefootError(
-            f"{file}: not a recording; the command `surefoot view` opens recordings (.rrd), logs "
-            "(.parquet) and scenarios (.toml), `surefoot robots FILE -o PICTURE.png` draws a robot"
-        )
-    with file.open("rb") as stream:
-        start = stream.read(4)
-    if start not in _MAGIC:
-        raise SurefootError(f"{file}: named .rrd, but is not a rerun recording")
-    check_unchanged(file)
-    return file
 
 
 def write_preview(

@@ -225,7 +225,7 @@ MACHINES: dict[str, Callable[[Folders], Measured]] = {
 
 def _verdict(found: Trace) -> str:
     """ "no_residual: the model explains the log down to its noise floor"."""
-    return trace_summary(found).splitlines()[0].removeprefix("verdict: ")
+    return trace_summary(found).splitlines()[0].removeprefix("# verdict: ")
 
 
 def _contacts_as_logged(log: Log) -> Log:

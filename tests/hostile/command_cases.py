@@ -72,7 +72,7 @@ OPTIONS = [
     ("a recording that is text", "view mine.txt", "mine.txt"),
     ("a robot to view", "view robot.xml", "draws a robot"),
     ("a recording that is a log", "view fake.rrd", "fake.rrd"),
-    ("a recording that is a folder", "view sub", "is a folder"),
+    ("a recording that is a folder", "view sub", "view opens"),
     ("nothing to view", "view nowhere", "view opens"),
     ("a search for no filter", "tune walk.parquet --filters legs -o new", "unknown filter 'legs'"),
     ("a search without a run", "tune walk.parquet -o new --budget 0", "budget 0: at least 1"),

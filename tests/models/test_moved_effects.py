@@ -8,7 +8,7 @@ from own_package import found
 
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.effect_sizes import per_run_effects, price_of_some_parts
-from surefoot.scenarios.trace.words import motion_to_distinguish
+from surefoot.scenarios.trace.result import Trace
 from surefoot.sim.effects import CATALOGUE, effect, known_effects
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.robot.machine import load_machine
@@ -25,11 +25,13 @@ def traced():
     log = log.with_columns({"dq_shoulder": lagging})
     biased = log.with_columns({"tau_shoulder": log.tau[:, 0] + 0.1})
     kinds = [known_effects()[name] for name in MOVED]
+    rivals = tuple({"name": name} for name in MOVED)
+    confounded = Trace(verdict="confounded", channels={}, filters={}, rivals=rivals)
     return diagnose([log, biased], machine), {
         "modules": {kind.__module__ for kind in kinds},
         "per_run": [name in per_run_effects() for name in MOVED],
         "sources": [kind.size_prior().source for kind in kinds],
-        "motion": motion_to_distinguish(MOVED),
+        "motion": confounded.motion,
         "price": price_of_some_parts("viscous_friction", "FL_calf", QUADRUPED),
     }
 

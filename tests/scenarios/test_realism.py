@@ -70,23 +70,22 @@ def test_the_drift_of_the_leg_filter_tells_what_the_legs_lack(measured, robot):
     """By a model with points for feet, and by the file's; on feet that roll less than it says."""
     points = replace(robot, foot_radius=np.zeros(4))
     alike, less = (
-        module.leg_drifts(
-            module.compare_walks(measured, points, module.SimulatedRobot("simulated", effects))
+        module.drift_table(
+            [module.compare_walks(measured, points, module.SimulatedRobot("simulated", effects))]
         )
         for effects in ((), (effect("foot_rolling", "all", robot.foot_radius.mean() - 0.01),))
     )
-    assert [one.measured for one in alike] == [one.measured for one in less]
-    assert alike[0].measured > 5.0 * alike[1].measured
-    assert alike[0].ratio == pytest.approx(1.0, abs=0.15)
-    assert less[0].ratio < 0.8 * alike[0].ratio
-    assert module.Drift("points", 0.1, (0.105, 0.115)).alike
-    assert not module.Drift("points", 0.1, (0.115, 0.135)).alike
+    assert [one["measured"] for one in alike] == [one["measured"] for one in less]
+    assert alike[0]["measured"] > 5.0 * alike[1]["measured"]
+    assert alike[0]["ratio"] == pytest.approx(1.0, abs=0.15)
+    assert less[0]["ratio"] < 0.8 * alike[0]["ratio"]
+    assert (alike[0]["within 15 %"], less[0]["within 15 %"]) == ("yes", "no")
     # Student's t of two degrees of freedom: 4.303 standard errors.
-    low, high = module.Drift("points", 0.1, (0.09, 0.10, 0.11)).interval
+    _, low, high = module.ratio_of_drifts(0.1, (0.09, 0.10, 0.11))
     np.testing.assert_allclose(
         [low, high], 1.0 + 0.1 * 4.303 / np.sqrt(3.0) * np.array([-1, 1]), rtol=1e-3
     )
-    assert np.isnan(module.Drift("points", 0.1, (0.09,)).interval).all()
+    assert np.isnan(module.ratio_of_drifts(0.1, (0.09,))[1:]).all()
 
 
 def test_another_robot_is_judged_by_what_is_carried_to_its_size(measured, robot):

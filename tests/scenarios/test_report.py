@@ -19,7 +19,6 @@ from surefoot.scenarios.reporting.html import (
     Step,
     html_report,
     markdown_report,
-    nested,
     write_report,
 )
 from surefoot.scenarios.reporting.pages import (
@@ -59,15 +58,6 @@ def test_any_text_comes_out_as_it_went_in(text):
     assert page.tags.count("script") == 0
     plain = Section("a", "a", TABLE, (Picture(b"", ""),), steps=(Step("a", "a"),))
     assert set(page.tags) <= set(Page(html_report("a", [plain])).tags)
-
-
-def test_parts_of_a_section_are_headed_below_it_and_no_chapters_of_their_own():
-    sections = [Section("A"), Section("B"), *nested([Section("b")]), Section("C")]
-    page = html_report("T", sections)
-    assert [tag for tag in Page(page).tags if tag in ("h2", "h3", "a")] == [
-        *("a", "a", "a"), *("h2", "h2", "h3", "h2"),
-    ]  # fmt: skip
-    assert "## B\n\n### b\n\n## C" in markdown_report("T", sections)
 
 
 def test_csv_keeps_every_digit():

@@ -15,8 +15,8 @@ from surefoot.models.attribution.data import dead_contacts, readings, split_of, 
 from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor, noise_floor_with
+from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import OUTPUTS, TraceOptions, trace, trace_logs
-from surefoot.scenarios.trace.words import summary
 from surefoot.sim.effects.file import load_effects
 from surefoot.sim.importing.sections import EVENNESS
 from surefoot.sim.log import Log, Meta

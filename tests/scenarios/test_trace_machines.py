@@ -15,8 +15,8 @@ from surefoot.models.attribution.diagnose import logs_under_model
 from surefoot.models.attribution.effect_sizes import Found, is_sampling_lag
 from surefoot.models.attribution.sensor_noise import apparent_sizes, reading_noise
 from surefoot.models.residuals.layout import layout_for
+from surefoot.scenarios.trace.report import beyond_bounds, headline, summary
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
-from surefoot.scenarios.trace.words import summary
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.importing.columns import ColumnEntry, Entries, read_columns
@@ -36,7 +36,7 @@ def test_noisy_torques_are_no_spring_and_half_a_step_is_no_effect(tmp_path):
     (run,) = found.runs
     (lag,) = run.compensated
     assert (lag.name, lag.value) == ("rate_delay", pytest.approx(0.5e-3, rel=0.05))
-    assert "rate_delay of +0.5 ms is compensated and not counted" in summary(found)
+    assert any("rate_delay of +0.5 ms is compensated" in note for note in found.notes)
 
 
 def test_the_size_of_a_spring_that_noise_alone_gives_is_known(tmp_path):
@@ -206,7 +206,7 @@ def test_an_effect_outside_its_bounds_is_mentioned_and_not_named():
     found = trace_logs([log.with_columns({"tau_shoulder": rubbing})], PENDULUM)
     assert found.verdict == "none_of_these"
     assert "coulomb_friction" not in {one.name for one in found.effects}
-    (line,) = (line for line in summary(found).splitlines() if "coulomb_friction" in line)
+    (line,) = (line for line in beyond_bounds(found) if "coulomb_friction" in line)
     assert "bounds are 0 and 2e+03" in line
 
 
@@ -227,7 +227,9 @@ def test_what_a_slide_lacks_is_in_metres_and_newtons(tmp_path):
     )
     found = replace(found, found=named)
     assert [one["unit"] for one in found.as_dict()["effects"]] == ["N", "N m"]
-    assert "coulomb_friction cart +3 N (95 % interval" in summary(found)
+    assert "coulomb_friction cart +3 N and coulomb_friction pole +3 N m" in headline(
+        replace(found, verdict="attributed")
+    )
     save_effects(tmp_path / "effects.toml", found.effects, limbs=found.limbs)
     assert load_effects(tmp_path / "effects.toml") == found.effects
     units = {c.name: c.unit for c in layout_for(found.limbs).columns}
