@@ -1,6 +1,6 @@
 """Comparison of streams that should measure the same: order, signs, scales and delays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import log, pi
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from surefoot.sim.importing.advice import Changes, entries
+from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.plausibility.finding import Finding
@@ -151,6 +151,37 @@ def in_another_unit(
     if unit == si or abs(log(factor * sizes[unit])) > log(NEAR):
         return otherwise, {}
     return f"in {unit}, not {si}", entries(columns, unit=unit) if unit in UNITS[kind] else {}
+
+
+def of_scale(
+    columns: Sequence[str],
+    factors: np.ndarray,
+    expected: str,
+    otherwise: str,
+    error: np.ndarray | float = 0.0,
+) -> Iterator[Finding]:
+    """The findings for rates that are `factors` (D,) times the expected ones: one for most of them
+    together, and one for each other.
+
+    Args:
+        columns: their names.
+        factors: (D,).
+        expected: name of these.
+        otherwise: cause of a common factor that is that of no unit.
+        error: (D,) of the factors; what lies between samples makes them smaller, never larger.
+    """
+    typical = float(np.median(factors))
+    together = np.abs(factors / typical - 1.0) < 2.0 * SCALED
+    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
+    if as_expected or 2 * together.sum() <= len(columns):
+        typical = 1.0
+    else:
+        scaled_alike = tuple(np.array(columns)[together].tolist())
+        cause, changes = in_another_unit("gyro", scaled_alike, typical, otherwise)
+        yield Finding(scaled_alike, f"{typical:.3g} times {expected}", cause, changes)
+    for i in np.flatnonzero(np.abs(factors / typical - 1.0) > 2.0 * SCALED + error):
+        changes = scaled(columns[i], factors[i] / typical)
+        yield Finding((columns[i],), f"{factors[i]:.3g} times {expected}", "scaled", changes)
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:

@@ -138,8 +138,7 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     if legs is None:
         return np.full(len(view.log.legs), np.nan)
     some = legs.at(np.flatnonzero(legs.contact.any(axis=1)))
-    by_foot = some.body_velocity(view.gyro[some.which])
-    by_foot = np.where(some.contact[..., None], by_foot, np.nan)
+    by_foot = np.where(some.contact[..., None], some.by_leg, np.nan)
     apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
     share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)

@@ -17,13 +17,12 @@ from surefoot.sim.plausibility.comparison import (
     LIKELY,
     MENDED,
     REF_P,
-    SCALED,
-    SURELY,
     AxesMatch,
     angle_between,
     in_another_unit,
     match_axes,
     number_words,
+    of_scale,
 )
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.reference import SPEEDING, other_point, speed_changes
@@ -283,24 +282,16 @@ def gyro(view: LogView) -> Iterator[Finding]:
     elif match.wrong:
         yield match.finding("gyro", "the reference's turning")
     elif match.alike:
-        yield from _gyro_scaled(match)
+        sure = np.flatnonzero(match.best > LIKELY)
+        if sure.size:
+            columns, unsure = view.columns("gyro", sure), 1.0 - match.best[sure]
+            expected = "as fast as the reference turns"
+            yield from of_scale(columns, match.scale[sure], expected, "scaled", unsure)
         yield from _gyro_biased(view)
     elif view.resolves:
         seen = f"correlation of turning {number_words(match.paired)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*GYRO, "ref_q"), seen, cause)
-
-
-def _gyro_scaled(match: AxesMatch) -> Iterator[Finding]:
-    """Check the scale of a gyro that matches the reference: of all axes, or of a single one."""
-    unlike = (match.best > SURELY) & (np.abs(np.log(match.scale)) > np.log1p(2.0 * SCALED))
-    factor, columns = match.scaled, GYRO
-    if unlike.sum() == 1:
-        one = int(np.argmax(unlike))
-        factor, columns = float(match.scale[one]), (GYRO[one],)
-    if abs(factor - 1.0) > SCALED:
-        seen = f"{factor:.3g} times as fast as the reference turns"
-        yield Finding(columns, seen, *in_another_unit("gyro", columns, factor, "scaled"))
 
 
 def _gyro_biased(view: LogView) -> Iterator[Finding]:

@@ -19,9 +19,9 @@ from surefoot.sim.plausibility.comparison import (
     SCALED,
     SURELY,
     correlation,
-    in_another_unit,
     match_axes,
     of_changing_sign,
+    of_scale,
     sign_change,
 )
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
@@ -84,72 +84,57 @@ def rates(view: LogView) -> Iterator[Finding]:
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
     names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
+    columns = view.columns("dq", moves)
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
     paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
     changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
     steady = np.array([since is None for since in changes], dtype=bool)
-    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(paired) > _ANOTHERS)
+    another = match.exchanged & (match.best > LIKELY) & (match.best - np.abs(paired) > _ANOTHERS)
+    swapped = steady & another & ~slow
     opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
     good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
     inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
-    for name, since in zip(names, changes, strict=True):
+    for column, since in zip(columns, changes, strict=True):
         if since is not None:
-            yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
-    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (paired < HARDLY))):
-        column, seen = (
-            f"dq_{names[i]}",
-            f"correlation with the change of q_{names[i]} {paired[i]:.2f}",
-        )
-        if match.best[i] > LIKELY and swapped[i]:
-            its = names[match.order[i]]
-            seen += f", of q_{its} {match.best[i]:.2f}"
-            cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=column)
-        else:
-            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            mended = {}
-        yield Finding((column,), seen, cause, mended)
+            yield of_changing_sign(column, since, f"the change of {column[1:]}")
+    seen = [
+        f"correlation with the change of {column[1:]} {paired[i]:.2f}"
+        for i, column in enumerate(columns)
+    ]
+    for i in np.flatnonzero(swapped):
+        its = names[match.order[i]]
+        cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=columns[i])
+        better = f"{seen[i]}, of q_{its} {match.best[i]:.2f}"
+        yield Finding((columns[i],), better, cause, mended)
+    for i in np.flatnonzero(steady & ~swapped & ~slow & ~opposite & (paired < HARDLY)):
+        cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
+        yield Finding((columns[i],), seen[i], cause)
     for i in np.flatnonzero(inverted):
-        seen = f"correlation with the change of q {paired[i]:.2f}, at {slope[i]:.2g} of its size"
-        yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
+        smaller = f"{seen[i]}, at {slope[i]:.2g} of its size"
+        yield Finding((columns[i],), smaller, "a slow filter, which inverts a vibration")
     flipped = np.flatnonzero(opposite & ~inverted)
     of_angle = legs.opposite_angles(view) if flipped.size else set()
     for kind in ("q", "dq"):
         which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
         if which:
-            columns = tuple(f"{kind}_{names[i]}" for i in which)
-            seen = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
+            best = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
             cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
-            yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
-    if good.any() and view.resolves:
-        # What does not correlate says nothing of the size.
-        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - paired)[good])
-
-
-def _rates_scaled(names: np.ndarray, slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
-    """Check the scale of rates of G joints, as the slope (G,) over the changes of angles, with the
-    error (G,) of that.
-    """
-    typical = float(np.median(slope))
-    together = np.abs(slope / typical - 1.0) < 2.0 * SCALED
-    # What lies between samples makes rates smaller, never larger.
-    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
-    if as_expected or 2 * together.sum() <= len(names):
-        typical = 1.0
-    else:
-        columns, angles = (
-            tuple(f"{kind}_{name}" for name in names[together]) for kind in ("dq", "q")
-        )
-        seen = f"{typical:.3g} times the change of q"
-        if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
-            yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
-        else:
-            otherwise = "scaled, or stamps at a wrong rate"
-            yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
-    for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
-        column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
-        too_large = float(slope[i]) / typical
-        yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
+            wrong = view.columns(kind, moves[which])
+            yield Finding(wrong, best, cause, entries(wrong, sign=-1.0))
+    if not good.any() or not view.resolves:
+        return
+    typical = float(np.median(slope[good]))
+    if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
+        angles = view.columns("q", moves[good])
+        less = f"{typical:.3g} times the change of q"
+        yield Finding(angles, less, "angles in deg, not rad", entries(angles, unit="deg"))
+        return
+    # What does not correlate says nothing of the size.
+    unsure = (error[moves] + 1.0 - paired)[good]
+    otherwise = "scaled, or stamps at a wrong rate"
+    named = view.columns("dq", moves[good])
+    yield from of_scale(named, slope[good], "the change of q", otherwise, unsure)
 
 
 @plausibility_rule("joints' unit", "q")
@@ -302,21 +287,23 @@ class _Explained:
 
     Attributes:
         column: its name.
-        x: mean values (M,).
+        x: mean values, or moves (M,).
         expected: (M,) in the same unit, but for friction or an offset.
         rest: regressors (M, R) of these.
-        alike: two series (M,) whose correlation has the sign of the stream.
         holds: time without a change, while what it explains goes on, from which it is stuck [s].
-        words: for what is expected, what goes on, why it is stuck, and why its scale is another.
+        witness: name of what is expected.
+        why_stuck: cause of a stream that is stuck.
+        otherwise: cause of another scale.
     """
 
     column: str
     x: np.ndarray
     expected: np.ndarray
     rest: np.ndarray
-    alike: tuple[np.ndarray, np.ndarray]
     holds: float
-    words: tuple[str, str, str, str]
+    witness: str
+    why_stuck: str
+    otherwise: str
 
     def fitted(self, where: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, float]:
         """Least-squares fit (M,), and the factor of what is expected, on the times `where`."""
@@ -349,13 +336,14 @@ def driving(view: LogView) -> Iterator[Finding]:
         return
     if any(d.startswith("tau") for d in log.meta.derived):
         return
-    words = ("what the model asks for", "what it drives", "a sensor that hangs",
-             "another unit, of the motor's side, or a load that the model lacks")  # fmt: skip
+    why_stuck = "a sensor that hangs"
+    otherwise = "another unit, of the motor's side, or a load that the model lacks"
     tau, dq = view.means(log.tau), view.changes(log.q)
     rigid = machine.dynamics.inverse(view.means(log.q), dq, np.gradient(dq, view.at, axis=0))[1]
     for column, x, expected, rate in zip(view.columns("tau"), tau.T, rigid.T, dq.T, strict=True):
         friction = np.column_stack([np.tanh(rate / SLIDES), rate])
-        one = _Explained(column, x, expected, friction, (x, expected), LIMITED, words)
+        asked = "what the model asks for"
+        one = _Explained(column, x, expected, friction, LIMITED, asked, why_stuck, otherwise)
         yield from _drive_faults(view, one)
 
 
@@ -372,38 +360,39 @@ def followed(view: LogView) -> Iterator[Finding]:
     """
     if not view.on_fixed_base:
         return
-    both = view.log.q_des, view.log.q
-    (sent, moved) = (view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in both)
-    (asked, reached) = (view.means(x) for x in both)
-    for j, joint in enumerate(view.log.joints):
-        words = (f"the moves of q_{joint}", f"q_{joint}", "a command that was not logged",
-                 "another unit than its angle's")  # fmt: skip
-        offset, moves = np.ones((len(view.at), 1)), (sent[:, j], moved[:, j])
-        column, x, expected = f"q_des_{joint}", asked[:, j], reached[:, j]
-        one = _Explained(column, x, expected, offset, moves, COMMANDED, words)
+    why_stuck, otherwise = "a command that was not logged", "another unit than its angle's"
+    offset = np.ones((len(view.at), 1))
+    sent, moved = (
+        (view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE)).T
+        for x in (view.log.q_des, view.log.q)
+    )
+    for column, x, expected in zip(view.columns("q_des"), sent, moved, strict=True):
+        moves = f"the motion of q_{column.removeprefix('q_des_')}"
+        one = _Explained(column, x, expected, offset, COMMANDED, moves, why_stuck, otherwise)
         yield from _drive_faults(view, one)
 
 
 def _drive_faults(view: LogView, one: _Explained) -> Iterator[Finding]:
     """Check that a stream changes when what explains it does, its sign and its scale."""
-    column, (witness, what, why_stuck, otherwise) = (one.column,), one.words
+    column = (one.column,)
     if stuck := _stuck(view, one):
-        yield Finding(column, f"{stuck} while {what} goes on", why_stuck)
+        yield Finding(column, f"{stuck} while {one.witness} goes on", one.why_stuck)
         return
     if not (one.x.std() > 0.0 and one.expected.std() > 0.0):
         return
     fitted, scale = one.fitted()
-    alike, since = correlation(*one.alike), sign_change(view.at, *one.alike, LIKELY)
+    alike = correlation(one.x, one.expected)
+    since = sign_change(view.at, one.x, one.expected, LIKELY)
     # What is expected alone is inconclusive for a machine that pushes against something.
     explained = correlation(one.x, fitted) > LIKELY
     if since is not None:
-        yield of_changing_sign(one.column, since, witness)
+        yield of_changing_sign(one.column, since, one.witness)
     elif explained and alike < -HARDLY:
-        seen = f"correlation with {witness} {alike:.2f}"
+        seen = f"correlation with {one.witness} {alike:.2f}"
         yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
     elif explained and abs(one.beside_rest) > LIKELY and not DRIVEN[0] < scale < DRIVEN[1]:
-        seen = f"{scale:.3g} times {witness}"
-        yield Finding(column, seen, otherwise, scaled(one.column, scale))
+        seen = f"{scale:.3g} times {one.witness}"
+        yield Finding(column, seen, one.otherwise, scaled(one.column, scale))
 
 
 def _stuck(view: LogView, one: _Explained) -> str:

@@ -104,25 +104,20 @@ def _loads(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     return pushed @ view.robot.R_BI[2], view.log.contact[rows]
 
 
-def leaning(
-    view: LogView, legs: Stance, chains: np.ndarray, others: np.ndarray, sign: np.ndarray
-) -> np.ndarray:
+def leaning(view: LogView, legs: Stance, others: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """Sideways part (L,) of the load that torques mean on each leg, relative to the upward one,
     where up is the specific force; 0 where it is not known.
 
     Args:
         view: of the log.
         legs: their times.
-        chains: joints of each leg (L, C).
-        others: those whose angles and torques are taken for theirs (L, C).
+        others: joints whose angles and torques are taken for those of each leg (L, C).
         sign: of these (C,).
     """
-    log, robot, rows = view.log, view.robot, legs.rows[1]
+    log, robot, rows = view.log, view.robot, legs.rows[:, 1]
     if robot is None or not log.has("tau"):
-        return np.zeros(len(chains))
-    q, tau = log.q[rows], log.tau[rows]
-    for read, logged in ((q, log.q), (tau, log.tau)):
-        read[:, chains] = logged[rows][:, others] * sign
+        return np.zeros(len(others))
+    q, tau = (exchanged(view, x[rows], others, sign) for x in (log.q, log.tau))
     pushed = _pushes(robot, q, tau)
     up = view.accel[legs.which]
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
@@ -130,6 +125,21 @@ def leaning(
     aside = pushed @ robot.R_BI[1] - upward * (up @ robot.R_BI[1])[:, None]
     in_all = [np.abs(np.sum(x * legs.contact, axis=0)) for x in (aside, upward)]
     return in_all[0] / np.maximum(in_all[1], 1e-9)
+
+
+def exchanged(
+    view: LogView,
+    x: np.ndarray,
+    others: np.ndarray,
+    sign: np.ndarray | float,
+    offset: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """Angles or torques x (K, J) of which those of other joints (L, C), times a sign (C,) and with
+    an offset (C,) added, are taken for each leg's.
+    """
+    read = x.copy()
+    read[:, view.chains] = x[:, others] * sign + offset
+    return read
 
 
 def _pushes(robot: Robot, q: np.ndarray, tau: np.ndarray) -> np.ndarray:

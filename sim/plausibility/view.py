@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.comparison import AxesMatch, lag_of, match_axes
-from surefoot.sim.plausibility.stance import Stance, stance_of
+from surefoot.sim.plausibility.stance import Stance, feet_at, stance_of
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import Robot
 
@@ -77,6 +77,12 @@ class LogView:
     def robot(self) -> Robot | None:
         """The machine, if it is a robot with a model of its legs."""
         return None if self.machine is None else self.machine.legged
+
+    @cached_property
+    def chains(self) -> np.ndarray | None:
+        """Joints (L, C) of each leg; None where feet are not known by them, or legs differ."""
+        chains = () if self.robot is None or self.log.has("foot") else self.robot.limbs.chains
+        return np.array(chains) if len({len(chain) for chain in chains}) == 1 else None
 
     @property
     def on_fixed_base(self) -> bool:
@@ -247,9 +253,13 @@ class LogView:
     @cached_property
     def feet(self) -> Stance | None:
         """Motion of the feet, where feet and contacts are known, of a log of any length."""
-        if not (len(self.at) and self.resolves and self.log.has("contact")):
+        feet = feet_at(self.log, self.robot)
+        if feet is None or not (len(self.at) and self.resolves and self.log.has("contact")):
             return None
-        return stance_of(self.log, self.robot, self.at)
+        gyro = self.gyro if self.log.has("imu") else np.zeros((len(self.at), 3))
+        v_I = self.v_I if self.trusts_reference else np.full(gyro.shape, np.nan)
+        used = self.ok if self.log.has("reference") else np.ones(len(self.at), dtype=bool)
+        return stance_of(self.log, feet, self.at, gyro, v_I, used)
 
     @property
     def stance(self) -> Stance | None:
