@@ -12,32 +12,8 @@ from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.limits import GAIN, HARDLY, LIKELY, SCALED, SURELY
 
-GYRO, ACCEL, REF_P, REF_V = (
-    tuple(f"{kind}_{a}" for a in "xyz") for kind in ("gyro", "accel", "ref_p", "ref_v")
-)
-SURELY, LIKELY, HARDLY = 0.9, 0.7, 0.5
-"""Correlation from which two streams measure the same, surely and likely, and below which they do
-not. Clean walks have 0.97 and more (gyros, rates of joints) and 0.8 (accelerometers) with what they
-measure, below 0.6 with other axes, since roll and sway are correlated, and 0.87 at most at a delay
-of whole strides. Measured drives have 0.7 with their models.
-"""
-SCALED = 0.1
-"""Relative scale error of streams that measure the same; single columns have twice as much. Data
-sheets allow 3 %; averages over a stride, filters of drives and lever arms cost several percent.
-"""
-MENDED = 0.6
-"""Share of a mean squared error that a correction may leave. On clean walks and a measured Go1,
-each wrong order of legs or contacts has at least 1.66 times as much as the right one; two swapped
-axes of a gyro leave 0.15 and 0.52 to 0.56 if corrected; a lever arm where there is none 0.86.
-"""
-GAIN = 0.4
-"""Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
-LATE, LATEST = 0.02, 2.0
-"""Delay of a reference that is reported [s], at 1 m/s the body moves 2 cm in it, and clocks set by
-hand or network are worse (`trace` finds smaller ones as an effect); and the largest that is
-searched for, `surefoot align` searches further.
-"""
 NEAR = 1.2
 """Largest ratio of a stream's scale to that of the unit it is taken to be in."""
 _FEWEST_ROWS = 10
@@ -154,11 +130,7 @@ def in_another_unit(
 
 
 def of_scale(
-    columns: Sequence[str],
-    factors: np.ndarray,
-    expected: str,
-    otherwise: str,
-    error: np.ndarray | float = 0.0,
+    columns: Sequence[str], factors: np.ndarray, expected: str, otherwise: str, error: np.ndarray
 ) -> Iterator[Finding]:
     """The findings for rates that are `factors` (D,) times the expected ones: one for most of them
     together, and one for each other.
@@ -173,15 +145,14 @@ def of_scale(
     typical = float(np.median(factors))
     together = np.abs(factors / typical - 1.0) < 2.0 * SCALED
     as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
-    if as_expected or 2 * together.sum() <= len(columns):
-        typical = 1.0
-    else:
-        scaled_alike = tuple(np.array(columns)[together].tolist())
-        cause, changes = in_another_unit("gyro", scaled_alike, typical, otherwise)
-        yield Finding(scaled_alike, f"{typical:.3g} times {expected}", cause, changes)
-    for i in np.flatnonzero(np.abs(factors / typical - 1.0) > 2.0 * SCALED + error):
-        changes = scaled(columns[i], factors[i] / typical)
-        yield Finding((columns[i],), f"{factors[i]:.3g} times {expected}", "scaled", changes)
+    common = 1.0 if as_expected or 2 * together.sum() <= len(columns) else typical
+    for column, factor, unsure in zip(columns, factors.tolist(), error, strict=True):
+        if abs(factor / common - 1.0) > 2.0 * SCALED + unsure:
+            changes = scaled(column, factor / common)
+            yield Finding((column,), f"{factor:.3g} times {expected}", "scaled", changes)
+        elif common != 1.0:
+            cause, changes = in_another_unit("gyro", (column,), common, otherwise)
+            yield Finding((column,), f"{common:.3g} times {expected}", cause, changes)
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from surefoot.sim.importing.advice import Changes, advice_words
+from surefoot.sim.plausibility import limits
 
 _When = Literal["comparable", "compares_turning", "trusts_reference"] | None
 _Find = Callable[..., Iterator["Finding"]]
@@ -69,9 +70,9 @@ class Rule:
     def explained(self) -> dict[str, str]:
         """The paragraphs of its docstring, by the titles of PARAGRAPHS.
 
-        Names in braces are those of its module.
+        Names in braces are those of its module, or shared limits.
         """
-        known = vars(sys.modules[self.find.__module__])
+        known = vars(limits) | vars(sys.modules[self.find.__module__])
         titles = re.compile(rf"^({'|'.join(PARAGRAPHS)}): ", re.M)
         _, *parts = titles.split(inspect.getdoc(self.find) or "")
         texts = (" ".join(text.split()).removesuffix(".").format_map(known) for text in parts[1::2])

@@ -10,13 +10,6 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.importing.advice import entries, quaternion
 from surefoot.sim.plausibility.comparison import (
-    ACCEL,
-    GAIN,
-    GYRO,
-    HARDLY,
-    LIKELY,
-    MENDED,
-    REF_P,
     AxesMatch,
     angle_between,
     in_another_unit,
@@ -25,8 +18,9 @@ from surefoot.sim.plausibility.comparison import (
     of_scale,
 )
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import FEWEST, GAIN, HARDLY, LATE_STREAM, LIKELY, MENDED
 from surefoot.sim.plausibility.reference import SPEEDING, other_point, speed_changes
-from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, STEP, LogView
+from surefoot.sim.plausibility.view import ACCEL, GYRO, REF_P, STEP, LogView
 
 ZERO_G = 0.8
 """Difference of an accelerometer's mean from gravity [m/s^2]: InvenSense MPU-6050 product

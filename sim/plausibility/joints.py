@@ -14,10 +14,6 @@ from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
 from surefoot.sim.plausibility.comparison import (
-    HARDLY,
-    LIKELY,
-    SCALED,
-    SURELY,
     correlation,
     match_axes,
     of_changing_sign,
@@ -25,6 +21,7 @@ from surefoot.sim.plausibility.comparison import (
     sign_change,
 )
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import HARDLY, LIKELY, SCALED, SURELY
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
 
@@ -83,8 +80,7 @@ def rates(view: LogView) -> Iterator[Finding]:
     logged, moved = view.means(log.dq), view.changes(log.q)
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
-    names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
-    columns = view.columns("dq", moves)
+    columns, slow = view.columns("dq", moves), size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
     paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
@@ -94,34 +90,26 @@ def rates(view: LogView) -> Iterator[Finding]:
     swapped = steady & another & ~slow
     opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
     good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
-    inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
-    for column, since in zip(columns, changes, strict=True):
+    slowest = _INVERTED * (np.median(slope[good]) if good.any() else 1.0)
+    of_angle = legs.opposite_angles(view) if np.any(opposite & (slope >= slowest)) else set()
+    for i, (column, since) in enumerate(zip(columns, changes, strict=True)):
+        angle, seen = column[1:], f"correlation with the change of {column[1:]} {paired[i]:.2f}"
         if since is not None:
-            yield of_changing_sign(column, since, f"the change of {column[1:]}")
-    seen = [
-        f"correlation with the change of {column[1:]} {paired[i]:.2f}"
-        for i, column in enumerate(columns)
-    ]
-    for i in np.flatnonzero(swapped):
-        its = names[match.order[i]]
-        cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=columns[i])
-        better = f"{seen[i]}, of q_{its} {match.best[i]:.2f}"
-        yield Finding((columns[i],), better, cause, mended)
-    for i in np.flatnonzero(steady & ~swapped & ~slow & ~opposite & (paired < HARDLY)):
-        cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-        yield Finding((columns[i],), seen[i], cause)
-    for i in np.flatnonzero(inverted):
-        smaller = f"{seen[i]}, at {slope[i]:.2g} of its size"
-        yield Finding((columns[i],), smaller, "a slow filter, which inverts a vibration")
-    flipped = np.flatnonzero(opposite & ~inverted)
-    of_angle = legs.opposite_angles(view) if flipped.size else set()
-    for kind in ("q", "dq"):
-        which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
-        if which:
-            best = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
-            cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
-            wrong = view.columns(kind, moves[which])
-            yield Finding(wrong, best, cause, entries(wrong, sign=-1.0))
+            yield of_changing_sign(column, since, f"the change of {angle}")
+        elif swapped[i]:
+            rate = columns[match.order[i]]
+            seen = f"{seen}, of {rate[1:]} {match.best[i]:.2f}"
+            yield Finding((column,), seen, f"it is {rate}: swapped", entries((rate,), of=column))
+        elif opposite[i] and slope[i] < slowest:
+            seen = f"{seen}, at {slope[i]:.2g} of its size"
+            yield Finding((column,), seen, "a slow filter, which inverts a vibration")
+        elif opposite[i]:
+            wrong = (angle if angle in of_angle else column,)
+            cause = "wrong sign, or time runs backwards" if opposite.all() else "wrong sign"
+            yield Finding(wrong, seen, cause, entries(wrong, sign=-1.0))
+        elif not slow[i] and paired[i] < HARDLY:
+            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
+            yield Finding((column,), seen, cause)
     if not good.any() or not view.resolves:
         return
     typical = float(np.median(slope[good]))
@@ -176,18 +164,14 @@ def stops(view: LogView) -> Iterator[Finding]:
         return
     low, high = view.robot.joint_range.T
     share, mirrored = (np.mean(np.maximum(low - x, x - high) > BEYOND, axis=0) for x in (q, -q))
-    over = np.flatnonzero(share > BEYOND_SHARE)
-    if not over.size:
-        return
-    worst = over[np.argmax(share[over])]
-    limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
-    seen = f"{names[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
-    seen += f" {np.median(q[:, worst]):.2f} rad"
-    cause, changes = "wrong zero, swapped joints, or another robot", {}
-    if np.all(mirrored[over] < BEYOND_SHARE):
-        cause = "wrong sign, swapped joints, or another robot"
-        changes = {"robot": {"joint_sign": {names[j]: -1.0 for j in over}}}
-    yield Finding(view.columns("q", over), seen, cause, changes)
+    over = share > BEYOND_SHARE
+    flipped = np.all(mirrored[over] < BEYOND_SHARE)
+    cause = f"wrong {'sign' if flipped else 'zero'}, swapped joints, or another robot"
+    for j in np.flatnonzero(over):
+        limits = f"{low[j]:.2f} to {high[j]:.2f} rad of {view.robot.name}"
+        seen = f"beyond {limits} in {100 * share[j]:.0f} % of rows, median {np.median(q[:, j]):.2f}"
+        changes = {"robot": {"joint_sign": {names[j]: -1.0}}} if flipped else {}
+        yield Finding(view.columns("q", [j]), f"{seen} rad", cause, changes)
 
 
 @plausibility_rule("torque", "tau")
@@ -203,15 +187,13 @@ def torques(view: LogView) -> Iterator[Finding]:
         return
     limit = view.robot.torque_limit
     strong = np.quantile(np.abs(view.log.tau), 0.99, axis=0)
-    over = np.flatnonzero(strong > TOO_STRONG * limit)
-    if over.size:
-        j = over[np.argmax(strong[over] / limit[over])]
-        seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
-        columns = view.columns("tau", over)
-        thousand = np.median(strong[over] / limit[over]) > 30.0
-        changes = entries(columns, unit="mN m") if thousand else {}
-        cause = "in mN m, not N m" if thousand else "another unit, or another robot"
-        yield Finding(columns, seen, cause, changes)
+    over = strong > TOO_STRONG * limit
+    thousand = over.any() and np.median((strong / limit)[over]) > 30.0
+    cause = "in mN m, not N m" if thousand else "another unit, or another robot"
+    for j in np.flatnonzero(over):
+        column, seen = view.columns("tau", [j]), f"{strong[j]:.3g} N m"
+        changes = entries(column, unit="mN m") if thousand else {}
+        yield Finding(column, f"{seen}, where the drive gives {limit[j]:.3g}", cause, changes)
 
 
 @plausibility_rule("magnitudes", "tau")

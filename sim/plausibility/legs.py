@@ -10,11 +10,11 @@ from itertools import permutations, product
 import numpy as np
 
 from surefoot.sim.importing.advice import Changes
-from surefoot.sim.plausibility.comparison import LATE, MENDED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import FEWEST, LATE, LATE_STREAM, LATEST_STREAM, MENDED
 from surefoot.sim.plausibility.loads import exchanged, leaning
 from surefoot.sim.plausibility.stance import Stance
-from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, STEP, LogView
+from surefoot.sim.plausibility.view import STEP, LogView
 
 MISFIT = 0.01
 """Mean squared velocity of standing feet, relative to the body's, without the worst tenth: 0.006 in
@@ -262,8 +262,8 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    chains = view.chains
-    if chains is None or not legs.has_truth or chains.shape[1] > 3:
+    robot, chains = view.robot, view.chains
+    if robot is None or chains is None or not legs.has_truth or chains.shape[1] > 3:
         return 1.0, []
     in_order, base = np.arange(chains.shape[1]), misfits(legs)[1:]
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
@@ -281,17 +281,19 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     most = np.where(upright, CLEARER, MENDED_JOINTS) * base
     mends = (best > 0) & (left < np.minimum(most, as_good))
     findings = []
-    for way in dict.fromkeys(best[mends].tolist()):
-        which, (order, sign) = mends & (best == way), ways[way]
-        joints = np.array(view.log.joints)[chains[which]]
+    for leg in np.flatnonzero(mends):
+        order, sign = ways[best[leg]]
+        joints, kinds = (
+            np.array(view.log.joints)[chains[leg]],
+            [robot.limbs.kind(j) for j in chains[leg]],
+        )
         swapped, flipped = order != in_order, sign < 0
-        columns = tuple(f"q_{joint}" for joint in joints[:, swapped | flipped].flat)
-        pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
-        words = ", ".join(f"{joint} is {other}" for joint, other in pairs)
+        columns = view.columns("q", chains[leg][swapped | flipped])
+        words = ", ".join(f"{kinds[i]} is {kinds[order[i]]}" for i in np.flatnonzero(swapped))
         causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
-        negative = dict.fromkeys(joints[:, flipped].flat, -1.0)
-        seen = _less(float(np.median(base[which] / left[which])))
+        negative = dict.fromkeys(joints[flipped], -1.0)
         changes = {"robot": {"joint_sign": negative}} if negative else {}
+        seen = _less(base[leg] / left[leg])
         findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings
@@ -362,16 +364,12 @@ def _zeros(view: LogView, legs: Stance) -> list[Finding]:
         return []
     left = every.min(axis=1) / base  # by joint of a leg, and leg
     mended = (left < MENDED) & (base > MISFIT)
-    columns, seen = [], []
+    findings, cause = [], "other zeros than the model's: measure them for joint_offset in [robot]"
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):
-            columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[every[k, :, i].argmin()]) for i in which})
-            gain, words = 1.0 / float(np.median(left[k, which])), [f"{x:+g}" for x in added]
-            seen.append(f"{gain:.1f} times less with {' or '.join(words)} rad added")
-    if not columns:
-        return []
-    words = f"the mean square velocity of standing feet is {', '.join(seen)}"
-    cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
-    return [Finding(tuple(columns), words, cause)]
+            words = " or ".join(f"{x:+g}" for x in added)
+            seen = _less(1.0 / float(np.median(left[k, which])), f"with {words} rad added")
+            findings.append(Finding(view.columns("q", chains[which, k]), seen, cause))
+    return findings
