@@ -57,6 +57,11 @@ class AxesMatch:
         return self.order != np.arange(len(self.order))
 
     @property
+    def surely(self) -> np.ndarray:
+        """Numbers of the columns that surely measure what they match."""
+        return np.flatnonzero(self.best > SURELY)
+
+    @property
     def wrong(self) -> tuple[int, ...]:
         """Axes that measure another one, or with the opposite sign."""
         turned = self.exchanged | (self.sign < 0)
@@ -166,12 +171,20 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(match_axes(a[:, None], b[:, None]).paired[0])
 
 
-def sign_change(
-    at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = SURELY
-) -> float | None:
-    """Time at which a stream changes its sign relative to the expected one; None where it does not.
+def changing_sign(
+    column: str,
+    expected: str,
+    at: np.ndarray,
+    logged: np.ndarray,
+    moved: np.ndarray,
+    always: float = SURELY,
+) -> Finding | None:
+    """The finding for a stream that changes its sign relative to the expected one; None where it
+    does not.
 
     Args:
+        column: name of the stream.
+        expected: name of the expected one.
         at: times (M,) [s].
         logged: the stream (M,), such as a joint's rate.
         moved: the expected one (M,), such as the derivative of the joint's angle.
@@ -187,12 +200,7 @@ def sign_change(
     least = min(abs(before), abs(after))
     if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
         return None
-    return float(at[k])
-
-
-def of_changing_sign(column: str, since: float, expected: str) -> Finding:
-    """The finding for a stream with another sign `since` some time [s]."""
-    seen = f"at {since:.2f} s, relative to {expected}"
+    seen = f"at {at[k]:.2f} s, relative to {expected}"
     return Finding((column,), seen, "its sign, or that of its angle, changes during the log")
 
 

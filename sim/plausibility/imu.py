@@ -145,7 +145,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     if not view.resolves:
         return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
-    R_GI = view.attitudes(0.0, view.ok)
+    R_GI = view.R_GI[view.ok]
     in_body = match_axes(accel, felt)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)
@@ -276,7 +276,7 @@ def gyro(view: LogView) -> Iterator[Finding]:
     elif match.wrong:
         yield match.finding("gyro", "the reference's turning")
     elif match.alike:
-        sure = np.flatnonzero(match.best > LIKELY)
+        sure = match.surely
         if sure.size:
             columns, unsure = view.columns("gyro", sure), 1.0 - match.best[sure]
             expected = "as fast as the reference turns"

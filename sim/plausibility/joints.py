@@ -13,13 +13,7 @@ import numpy as np
 from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.comparison import (
-    correlation,
-    match_axes,
-    of_changing_sign,
-    of_scale,
-    sign_change,
-)
+from surefoot.sim.plausibility.comparison import changing_sign, correlation, match_axes, of_scale
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.limits import HARDLY, LIKELY, SCALED, SURELY
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
@@ -84,18 +78,21 @@ def rates(view: LogView) -> Iterator[Finding]:
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
     paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
-    changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
-    steady = np.array([since is None for since in changes], dtype=bool)
+    changing = [
+        changing_sign(column, f"the change of {column[1:]}", view.at, logged[:, i], moved[:, i])
+        for i, column in enumerate(columns)
+    ]
+    steady = np.array([one is None for one in changing], dtype=bool)
     another = match.exchanged & (match.best > LIKELY) & (match.best - np.abs(paired) > _ANOTHERS)
     swapped = steady & another & ~slow
     opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
     good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
     slowest = _INVERTED * (np.median(slope[good]) if good.any() else 1.0)
     of_angle = legs.opposite_angles(view) if np.any(opposite & (slope >= slowest)) else set()
-    for i, (column, since) in enumerate(zip(columns, changes, strict=True)):
+    for i, (column, found) in enumerate(zip(columns, changing, strict=True)):
         angle, seen = column[1:], f"correlation with the change of {column[1:]} {paired[i]:.2f}"
-        if since is not None:
-            yield of_changing_sign(column, since, f"the change of {angle}")
+        if found is not None:
+            yield found
         elif swapped[i]:
             rate = columns[match.order[i]]
             seen = f"{seen}, of {rate[1:]} {match.best[i]:.2f}"
@@ -364,11 +361,11 @@ def _drive_faults(view: LogView, one: _Explained) -> Iterator[Finding]:
         return
     fitted, scale = one.fitted()
     alike = correlation(one.x, one.expected)
-    since = sign_change(view.at, one.x, one.expected, LIKELY)
+    changing = changing_sign(one.column, one.witness, view.at, one.x, one.expected, LIKELY)
     # What is expected alone is inconclusive for a machine that pushes against something.
     explained = correlation(one.x, fitted) > LIKELY
-    if since is not None:
-        yield of_changing_sign(one.column, since, one.witness)
+    if changing is not None:
+        yield changing
     elif explained and alike < -HARDLY:
         seen = f"correlation with {one.witness} {alike:.2f}"
         yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
@@ -381,7 +378,7 @@ def _stuck(view: LogView, one: _Explained) -> str:
     """The first section in which a stream does not change, while what explains it does, in words;
     "" where there is none.
     """
-    sections = still_sections(view.t, view.log.frame[one.column].to_numpy(), one.holds)
+    sections = still_sections(view.t, view.log.columns[one.column], one.holds)
     for begin, end in (view.t[[rows.start, rows.stop - 1]] for rows in sections):
         # After a step of a command, a joint is still moving.
         during = (view.at > begin + 0.25 * one.holds) & (view.at < end)

@@ -364,7 +364,8 @@ def _zeros(view: LogView, legs: Stance) -> list[Finding]:
         return []
     left = every.min(axis=1) / base  # by joint of a leg, and leg
     mended = (left < MENDED) & (base > MISFIT)
-    findings, cause = [], "other zeros than the model's: measure them for joint_offset in [robot]"
+    findings = []
+    cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):

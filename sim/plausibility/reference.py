@@ -10,7 +10,7 @@ from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.reference_check import check_reference
 from surefoot.sim.log.reference import reference_poses
-from surefoot.sim.plausibility.comparison import in_another_unit, match_axes
+from surefoot.sim.plausibility.comparison import in_another_unit, match_axes, number_words
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.limits import FEWEST, MENDED, SCALED, SURELY
 from surefoot.sim.plausibility.stance import feet_at
@@ -115,8 +115,8 @@ def point(view: LogView) -> Iterator[Finding]:
     found = other_point(view)
     if found is not None:
         p_IM, explained = found
-        where = ", ".join(f"{x:.2f}" for x in p_IM)
         seen = f"{100 * explained:.0f} % of what the accelerometer differs by"
+        where = number_words(p_IM)
         cause = f"of a point at ({where}) m in the IMU's axes, not of the IMU; try surefoot align"
         yield Finding(REF_P, seen, cause, {"reference": {"p_IM": tuple(p_IM.tolist())}})
 

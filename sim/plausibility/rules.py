@@ -85,11 +85,14 @@ def _together(found: Iterable[Finding]) -> Iterator[Finding]:
 
 
 def _united(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """Two tables, and the tables in them, as one."""
+    """Two tables as one, with the tables and lists that both have."""
     united = dict(a)
     for key, value in b.items():
-        in_both = isinstance(value, Mapping) and key in a
-        united[key] = _united(a[key], value) if in_both else value
+        if key in a and isinstance(value, Mapping):
+            value = _united(a[key], value)
+        elif key in a and isinstance(value, tuple):
+            value = (*a[key], *value)
+        united[key] = value
     return united
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from surefoot.sim.importing.advice import entries
-from surefoot.sim.importing.clock import column_kind
+from surefoot.sim.importing.clock import Columns, column_kind
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
@@ -107,63 +107,47 @@ def frozen(view: LogView) -> Iterator[Finding]:
         least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
         for name, x in columns.items():
             sections = still_sections(view.t, x, least)
-            if sections and (hangs := _hanging(view, kinds, kind, name, sections)):
+            if not sections:
+                continue
+            joint = _of_joint(view, kind, name)
+            if kind in ("q", "dq") and _comparable(view, joint):
+                hangs = [rows for rows in sections if _contradict(view.t, joint, rows, kind)]
+            elif kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, joint)):
+                hangs = []  # the joints of an arm rest one by one
+            else:
+                hangs = [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
+            if hangs:
                 t = view.t[hangs[0]]
                 when = f"from {t[0]:.2f} to {t[-1]:.2f} s" if len(t) < len(x) else "throughout"
                 seen = "no change while others move"
                 yield Finding((name,), seen, f"a sensor that hangs {when}")
 
 
-def _hanging(
-    view: LogView,
-    kinds: dict[str, dict[str, np.ndarray]],
-    kind: str,
-    name: str,
-    sections: list[slice],
-) -> list[slice]:
-    """Sections in which a column is constant although what goes with it moves.
-
-    Args:
-        view: of the log.
-        kinds: columns (N,) by kind and name.
-        kind: of the column.
-        name: of the column.
-        sections: rows in which it is constant.
-    """
-    q, dq = _of_joint(view, kind, name)
-    if kind in ("q", "dq") and q is not None and dq is not None and _comparable(view, q, dq):
-        return [rows for rows in sections if _contradict(view.t, q, dq, rows, kind == "q")]
-    # The joints of an arm rest one by one.
-    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, q, dq)):
-        return []
-    return [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
+def _of_joint(view: LogView, kind: str, name: str) -> Columns:
+    """Angle "q" and rate "dq" (N,) of the joint of a column, those that the log has."""
+    joint, columns = name.removeprefix(f"{kind}_"), view.log.columns
+    return {one: columns[f"{one}_{joint}"] for one in ("q", "dq") if f"{one}_{joint}" in columns}
 
 
-def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
-    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
-    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
-    return q, dq
-
-
-def _comparable(view: LogView, q: np.ndarray, dq: np.ndarray) -> bool:
+def _comparable(view: LogView, joint: Columns) -> bool:
     """Whether a joint's angle and rate (N,) are measured, and in the same unit."""
     derived = any(d.startswith("dq") for d in view.log.meta.derived)
-    if derived or not view.comparable or np.ptp(q) > _WHOLE_TURN:
+    if derived or len(joint) < 2 or not view.comparable or np.ptp(joint["q"]) > _WHOLE_TURN:
         return False
-    rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
+    rate = view.means(joint["dq"][:, None]).std()
+    change = view.changes(joint["q"][:, None]).std()
     return bool(change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change)
 
 
-def _contradict(t: np.ndarray, q: np.ndarray, dq: np.ndarray, rows: slice, angle: bool) -> bool:
-    """Whether a joint's angle q and rate dq (N,) at t [s] contradict each other in rows in which
-    the angle, or else the rate, is constant: the rate shows motion while the angle is constant, or
-    the angle moves at a rate different from the constant one.
+def _contradict(t: np.ndarray, joint: Columns, rows: slice, kind: str) -> bool:
+    """Whether a joint's angle and rate (N,) at t [s] contradict each other in rows in which that of
+    a kind is constant: the rate shows motion while the angle is constant, or the angle moves at a
+    rate different from the constant one.
     """
-    t = t[rows] - t[rows][0]
-    steps = np.abs(np.diff(q if angle else dq))
+    t, q, dq = t[rows] - t[rows][0], joint["q"], joint["dq"]
+    steps = np.abs(np.diff(joint[kind]))
     count = float(steps[steps > 0.0].min(initial=np.inf))
-    if not angle:
+    if kind == "dq":
         strays = float(np.ptp(_median5(q)[rows] - dq[rows][0] * t))
         return strays > max(RESTS, 3.0 * count * t[-1])
     # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
@@ -173,19 +157,19 @@ def _contradict(t: np.ndarray, q: np.ndarray, dq: np.ndarray, rows: slice, angle
     return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
 
 
-def _rests(t: np.ndarray, q: np.ndarray | None, dq: np.ndarray | None) -> bool:
+def _rests(t: np.ndarray, joint: Columns) -> bool:
     """Whether a joint rests throughout, by angle and rate (N,) at t [s].
 
     An angle that never changes and has no rate beside it may also be a dead sensor.
     """
-    turned = [] if q is None else [float(np.ptp(q))]
-    if dq is not None:
+    turned = [np.ptp(joint["q"])] if "q" in joint else []
+    if "dq" in joint:
         # Without its mean, since rates of a joint at rest may have an offset.
-        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(t)))))
+        turned.append(np.ptp(np.cumsum((joint["dq"] - joint["dq"].mean()) * np.gradient(t))))
     return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
-def _others_move(kinds: dict[str, dict[str, np.ndarray]], name: str, rows: slice) -> bool:
+def _others_move(kinds: dict[str, Columns], name: str, rows: slice) -> bool:
     """Whether streams that go with a column move in some rows: others of its kind, else gyro,
     angles and positions; `kinds` are columns (N,) by kind and name.
     """
@@ -219,19 +203,12 @@ def held(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
-    rate, slow, kinds = view.log.rate, {}, []
+    rate, cause = view.log.rate, "a slower sensor, read more often than it measures"
     for kind, columns in held_streams(view.log).items():
-        usual = float(np.round(np.median([*columns.values()])))
+        usual = float(np.median([*columns.values()]))
         if usual < SLOWER * rate and not next(iter(columns)).startswith(_COMMANDS):
-            slow |= dict.fromkeys(columns, usual)
-            kinds.append(kind)
-    if slow:
-        columns = tuple(c for c in map(str, view.log.frame) if c in slow)
-        limits = (pick(slow.values()) for pick in (min, max))
-        rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
-        seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
-        cause = "a slower sensor, read more often than it measures"
-        yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
+            seen = f"sampled at {usual:.0f} Hz and repeated, rows at {rate:.0f} Hz"
+            yield Finding(tuple(columns), seen, cause, {"even": {"held": (kind,)}})
 
 
 @plausibility_rule("interpolated", beside="t", is_note=True)
@@ -325,8 +302,8 @@ def noisy(view: LogView) -> Iterator[Finding]:
 
 def _resolved(view: LogView, name: str) -> bool:
     """Whether the rows are dense enough to show how a joint's rate changes."""
-    q, dq = (None if x is None else x[:, None] for x in _of_joint(view, "dq", name))
-    return dq is not None and bool(np.isfinite(view.between_samples(dq, q))[0])
+    joint = {kind: x[:, None] for kind, x in _of_joint(view, "dq", name).items()}
+    return bool(np.isfinite(view.between_samples(joint["dq"], joint.get("q")))[0])
 
 
 @plausibility_rule("coarse", beside="gyro accel q", is_note=True)
@@ -439,11 +416,11 @@ def _leaps(view: LogView, kind: str, name: str, x: np.ndarray) -> tuple[np.ndarr
         least = min(least, LONE * float(x.std()))
     usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
     rows = np.flatnonzero(off > max(least, SPIKE * usual))
-    q, dq = _of_joint(view, kind, name)
-    if kind == "dq" and q is not None and dq is not None:
-        change = np.diff(q) / np.diff(view.t)
+    joint = _of_joint(view, kind, name)
+    if kind == "dq" and "q" in joint:
+        change = np.diff(joint["q"]) / np.diff(view.t)
         beside = change[np.clip([rows - 1, rows], 0, len(change) - 1)]
-        rows = rows[np.abs(beside - dq[rows]).min(axis=0) >= 0.25 * off[rows]]
+        rows = rows[np.abs(beside - x[rows]).min(axis=0) >= 0.25 * off[rows]]
     return rows, off[rows]
 
 
@@ -493,18 +470,18 @@ def derived(view: LogView) -> Iterator[Finding]:
             yield Finding(view.columns("tau"), seen, "commanded, not measured")
 
 
-def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, Columns]:
     """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name; of a
     reference that is mostly interpolated over gaps, none.
     """
-    found: dict[str, dict[str, np.ndarray]] = {}
+    found: dict[str, Columns] = {}
     gaps = view.log.has("reference") and view.log.ref_ok.mean() < 0.5
-    for name in map(str, view.log.frame):
+    for name, x in view.log.columns.items():
         if gaps and name.startswith("ref_"):
             continue
         kind = name.rsplit("_", 1)[0] if name.startswith("ref_") else column_kind(name)
         if kind in wanted:
-            found.setdefault(kind, {})[name] = view.log.frame[name].to_numpy()
+            found.setdefault(kind, {})[name] = x
     return found
 
 
