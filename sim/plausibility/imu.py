@@ -132,7 +132,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
     return Finding(columns, seen, f"wrong sign{why}", entries(columns, sign=-1.0))
 
 
-@plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference resolves")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
@@ -142,8 +142,6 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     Reason: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
-    if not view.resolves:
-        return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     R_GI = view.R_GI[view.ok]
     in_body = match_axes(accel, felt)

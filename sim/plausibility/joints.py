@@ -326,7 +326,7 @@ def driving(view: LogView) -> Iterator[Finding]:
         yield from _drive_faults(view, one)
 
 
-@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable")
+@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable on_fixed_base")
 def followed(view: LogView) -> Iterator[Finding]:
     """Check that the joints of a machine on a fixed base follow their commands.
 
@@ -337,8 +337,6 @@ def followed(view: LogView) -> Iterator[Finding]:
     Reason: nothing but its drive moves a joint of an arm as far.
     Remedy: sign, unit or gain of q_des.
     """
-    if not view.on_fixed_base:
-        return
     why_stuck, otherwise = "a command that was not logged", "another unit than its angle's"
     offset = np.ones((len(view.at), 1))
     sent, moved = (

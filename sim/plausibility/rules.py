@@ -102,7 +102,7 @@ def _applies(rule: Rule, view: LogView, doubted: set[str]) -> bool:
     if any(column == one or column.startswith(f"{one}_") for column in doubted for one in compared):
         return False
     has_all = all(one == "t" or view.log.has(_GROUPS.get(one, one)) for one in rule.needs)
-    return has_all and (rule.when is None or getattr(view, rule.when))
+    return has_all and all(getattr(view, one) for one in rule.when)
 
 
 def rules_table() -> list[dict[str, str]]:

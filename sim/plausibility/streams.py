@@ -276,7 +276,7 @@ def _delay_seen(
     return f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'} against the change of"
 
 
-@plausibility_rule("noise", beside="t gyro accel dq", when="comparable")
+@plausibility_rule("noise", beside="t gyro accel dq", when="comparable resolves")
 def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 
@@ -290,7 +290,7 @@ def noisy(view: LogView) -> Iterator[Finding]:
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
     """
     cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-    for kind, columns in _kinds(view, ("gyro", "accel", "dq")).items() if view.resolves else ():
+    for kind, columns in _kinds(view, ("gyro", "accel", "dq")).items():
         for name, x in columns.items():
             # Third differences of white noise have 20 times its variance; the median ignores
             # impacts.
