@@ -189,7 +189,8 @@ def resampled(table: Columns, t: np.ndarray, delays: Mapping[str, float]) -> Col
         delay = delays.get(name, delays.get(column_kind(name), 0.0))
         streams[name] = table["t"] - delay, values
     del streams["t"]
-    return on_clock(t, streams, "[even]", averaged=0.0)
+    last = table["t"][-1] - max((0.0, *delays.values()))
+    return on_clock(t[t <= last], streams, "[even]", averaged=0.0)
 
 
 def column_kind(name: str) -> str:

@@ -266,9 +266,10 @@ class _Explained:
 
     Attributes:
         column: its name.
-        x: mean values, or moves (M,).
+        x: mean values (M,).
         expected: (M,) in the same unit, but for friction or an offset.
         rest: regressors (M, R) of these.
+        alike: two series (M,) whose correlation has the sign of the stream.
         holds: time without a change, while what it explains goes on, from which it is stuck [s].
         witness: name of what is expected.
         why_stuck: cause of a stream that is stuck.
@@ -279,6 +280,7 @@ class _Explained:
     x: np.ndarray
     expected: np.ndarray
     rest: np.ndarray
+    alike: tuple[np.ndarray, np.ndarray]
     holds: float
     witness: str
     why_stuck: str
@@ -315,14 +317,13 @@ def driving(view: LogView) -> Iterator[Finding]:
         return
     if any(d.startswith("tau") for d in log.meta.derived):
         return
-    why_stuck = "a sensor that hangs"
     otherwise = "another unit, of the motor's side, or a load that the model lacks"
+    words = "what the model asks for", "a sensor that hangs", otherwise
     tau, dq = view.means(log.tau), view.changes(log.q)
     rigid = machine.dynamics.inverse(view.means(log.q), dq, np.gradient(dq, view.at, axis=0))[1]
     for column, x, expected, rate in zip(view.columns("tau"), tau.T, rigid.T, dq.T, strict=True):
         friction = np.column_stack([np.tanh(rate / SLIDES), rate])
-        asked = "what the model asks for"
-        one = _Explained(column, x, expected, friction, LIMITED, asked, why_stuck, otherwise)
+        one = _Explained(column, x, expected, friction, (x, expected), LIMITED, *words)
         yield from _drive_faults(view, one)
 
 
@@ -337,15 +338,14 @@ def followed(view: LogView) -> Iterator[Finding]:
     Reason: nothing but its drive moves a joint of an arm as far.
     Remedy: sign, unit or gain of q_des.
     """
-    why_stuck, otherwise = "a command that was not logged", "another unit than its angle's"
-    offset = np.ones((len(view.at), 1))
-    sent, moved = (
-        (view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE)).T
-        for x in (view.log.q_des, view.log.q)
-    )
-    for column, x, expected in zip(view.columns("q_des"), sent, moved, strict=True):
-        moves = f"the motion of q_{column.removeprefix('q_des_')}"
-        one = _Explained(column, x, expected, offset, COMMANDED, moves, why_stuck, otherwise)
+    causes = "a command that was not logged", "another unit than its angle's"
+    both, offset = (view.log.q_des, view.log.q), np.ones((len(view.at), 1))
+    moves = [view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in both]
+    asked, reached = (view.means(x) for x in both)
+    for j, joint in enumerate(view.log.joints):
+        alike, words = (moves[0][:, j], moves[1][:, j]), (f"the motion of q_{joint}", *causes)
+        column, x, expected = f"q_des_{joint}", asked[:, j], reached[:, j]
+        one = _Explained(column, x, expected, offset, alike, COMMANDED, *words)
         yield from _drive_faults(view, one)
 
 
@@ -358,8 +358,8 @@ def _drive_faults(view: LogView, one: _Explained) -> Iterator[Finding]:
     if not (one.x.std() > 0.0 and one.expected.std() > 0.0):
         return
     fitted, scale = one.fitted()
-    alike = correlation(one.x, one.expected)
-    changing = changing_sign(one.column, one.witness, view.at, one.x, one.expected, LIKELY)
+    alike = correlation(*one.alike)
+    changing = changing_sign(one.column, one.witness, view.at, *one.alike, LIKELY)
     # What is expected alone is inconclusive for a machine that pushes against something.
     explained = correlation(one.x, fitted) > LIKELY
     if changing is not None:

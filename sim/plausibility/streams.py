@@ -434,13 +434,14 @@ def copies(view: LogView) -> Iterator[Finding]:
     Remedy: one of two columns of the map names the wrong one of theirs.
     """
     kinds = _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot"))
-    for columns in kinds.values():
+    for kind, columns in kinds.items():
         apart = {name: x - x.mean() for name, x in columns.items() if _varied(x)}
         units = {name: x / np.linalg.norm(x) for name, x in apart.items()}
         for (a, x), (b, y) in combinations(units.items(), 2):
             if 2.0 - 2.0 * abs(x @ y) < _SAME:
                 seen = "alike to 1 part in 1e9 of the mean square"
-                yield Finding((a, b), seen, f"{b} is {a}: one of the two was read twice")
+                cause = f"one of two {kind} columns was read twice: {b} is {a}"
+                yield Finding((a, b), seen, cause)
 
 
 @plausibility_rule("derived", when="comparable", is_note=True)
