@@ -251,10 +251,9 @@ def _read_otherwise(
         sign: of these (C,).
         offset: (C,) [rad] added to them.
     """
-    robot = view.robot
+    robot, q = view.robot, view.log.q
     assert robot is not None
-    q = exchanged(view, view.log.q, others, sign, offset)
-    return legs.with_feet(lambda rows: robot.feet_I(q[rows]))
+    return legs.with_feet(lambda rows: robot.feet_I(exchanged(view, q[rows], others, sign, offset)))
 
 
 def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
@@ -283,15 +282,12 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     findings = []
     for leg in np.flatnonzero(mends):
         order, sign = ways[best[leg]]
-        joints, kinds = (
-            np.array(view.log.joints)[chains[leg]],
-            [robot.limbs.kind(j) for j in chains[leg]],
-        )
         swapped, flipped = order != in_order, sign < 0
         columns = view.columns("q", chains[leg][swapped | flipped])
+        kinds = [robot.limbs.kind(j) for j in chains[leg]]
         words = ", ".join(f"{kinds[i]} is {kinds[order[i]]}" for i in np.flatnonzero(swapped))
         causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
-        negative = dict.fromkeys(joints[flipped], -1.0)
+        negative = {view.log.joints[j]: -1.0 for j in chains[leg][flipped]}
         changes = {"robot": {"joint_sign": negative}} if negative else {}
         seen = _less(base[leg] / left[leg])
         findings.append(Finding(columns, seen, " and ".join(causes), changes))
