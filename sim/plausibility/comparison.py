@@ -137,8 +137,8 @@ def in_another_unit(
 def of_scale(
     columns: Sequence[str], factors: np.ndarray, expected: str, otherwise: str, error: np.ndarray
 ) -> Iterator[Finding]:
-    """The findings for rates that are `factors` (D,) times the expected ones: one for most of them
-    together, and one for each other.
+    """The findings for rates that are `factors` (D,) times the expected ones: with a factor that
+    most of them have, or with one of their own.
 
     Args:
         columns: their names.

@@ -20,7 +20,7 @@ class Finding:
 
     Attributes:
         streams: columns concerned.
-        evidence: what was measured, with its unit.
+        evidence: what was measured, with its unit; of several columns, that of the first.
         cause: the likely one, and what is to be decided or found out to correct it.
         changes: to the import map, that correct it; none where they are not known.
         rule: name of the rule.

@@ -96,7 +96,8 @@ def rates(view: LogView) -> Iterator[Finding]:
         elif swapped[i]:
             rate = columns[match.order[i]]
             seen = f"{seen}, of {rate[1:]} {match.best[i]:.2f}"
-            yield Finding((column,), seen, f"it is {rate}: swapped", entries((rate,), of=column))
+            cause = f"it is the rate of {rate.removeprefix('dq_')}: swapped"
+            yield Finding((column,), seen, cause, entries((rate,), of=column))
         elif opposite[i] and slope[i] < slowest:
             seen = f"{seen}, at {slope[i]:.2g} of its size"
             yield Finding((column,), seen, "a slow filter, which inverts a vibration")

@@ -360,13 +360,15 @@ def _zeros(view: LogView, legs: Stance) -> list[Finding]:
         return []
     left = every.min(axis=1) / base  # by joint of a leg, and leg
     mended = (left < MENDED) & (base > MISFIT)
-    findings = []
-    cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
+    columns, seen = [], []
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):
+            columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[every[k, :, i].argmin()]) for i in which})
             words = " or ".join(f"{x:+g}" for x in added)
-            seen = _less(1.0 / float(np.median(left[k, which])), f"with {words} rad added")
-            findings.append(Finding(view.columns("q", chains[which, k]), seen, cause))
-    return findings
+            seen.append(_less(1.0 / float(np.median(left[k, which])), f"with {words} rad added"))
+    if not columns:
+        return []
+    cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
+    return [Finding(tuple(columns), ", ".join(seen), cause)]
