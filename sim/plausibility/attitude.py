@@ -165,7 +165,7 @@ def _leaning(view: LogView, read: Callable[[Rotation], Rotation] = lambda R: R) 
     force = view.log.accel.mean(axis=0)
     if view.robot is not None and force @ view.robot.R_BI[2] < 0.5 * np.linalg.norm(force):
         return 0.0
-    R_GI = read(view.attitudes(-0.5 * MEAN)[view.ok])
+    R_GI = read(view.attitudes(-0.5 * MEAN, view.ok))
     return angle_between(force, R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0))
 
 
@@ -179,7 +179,7 @@ def _other_reading(view: LogView, as_is: float, lean: float) -> Reading | None:
         lean: angle of its vertical from gravity [deg].
     """
     gyro = view.gyro[view.ok]
-    begin, end = (view.attitudes(after)[view.ok] for after in (-0.5 * MEAN, 0.5 * MEAN))
+    begin, end = (view.attitudes(after, view.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
     fitting = []
     for one in OTHER_READINGS:
         # A body turns alike in any world.

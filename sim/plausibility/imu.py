@@ -143,7 +143,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
     accel, felt = view.accel[view.ok], view.felt[view.ok]
-    R_GI = view.R_GI[view.ok]
+    R_GI = view.attitudes(0.0, view.ok)
     in_body = match_axes(accel, felt)
     # Motion is periodic: half a stride later, a swaying axis is its own negative.
     in_world = match_axes(view.ref_a[view.ok], R_GI.apply(accel) + GRAVITY_G)

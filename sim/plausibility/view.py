@@ -175,13 +175,15 @@ class LogView:
         """Mean specific force (M, 3) [m/s^2] in I."""
         return self._averages(self.log.accel)
 
-    def attitudes(self, after: float) -> Rotation:
-        """Attitudes (M,) of the reference `after` seconds from the times `at`."""
+    def attitudes(self, after: float, where: np.ndarray | None = None) -> Rotation:
+        """Attitudes of the reference `after` seconds from the times `at` (M,), or from those in the
+        mask `where` (M,).
+        """
         q = self.log.ref_q
         # Choose the signs of neighbouring quaternions alike, so that they can be averaged.
         flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
         mean = self.after(q * np.concatenate([[1.0], flips])[:, None], after)
-        return Rotation.from_quat(mean, scalar_first=True)
+        return Rotation.from_quat(mean if where is None else mean[where], scalar_first=True)
 
     @cached_property
     def R_GI(self) -> Rotation:
