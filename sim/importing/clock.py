@@ -182,15 +182,17 @@ def resampled(table: Columns, t: np.ndarray, delays: Mapping[str, float]) -> Col
     """Resample a table to the times t (N,) [s], and shift columns of some kinds or names to earlier
     ones, by their delay [s].
 
-    Times for which a column has no value are cut.
+    Times for which a column has no value are cut; raises SurefootError if none is left.
     """
     streams: dict[str, Stamped] = {}
     for name, values in table.items():
         delay = delays.get(name, delays.get(column_kind(name), 0.0))
         streams[name] = table["t"] - delay, values
     del streams["t"]
-    last = table["t"][-1] - max((0.0, *delays.values()))
-    return on_clock(t[t <= last], streams, "[even]", averaged=0.0)
+    inside = t[t <= table["t"][-1] - max((0.0, *delays.values()))]
+    if not len(inside):
+        raise SurefootError("[even] late: is longer than the recording")
+    return on_clock(inside, streams, "[even]", averaged=0.0)
 
 
 def column_kind(name: str) -> str:
