@@ -246,15 +246,15 @@ def lagging(view: LogView) -> Iterator[Finding]:
         moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
         usual = delay_between(t, log.dq, moved, LATEST_RATE)
         if seen := _delay_seen(view, usual, log.dq, moved, LATE_RATE):
-            late = {"even": {"late": {"dq": round(usual, 4)}}}
-            yield Finding(view.columns("dq"), f"{seen} q", cause, late)
+            mended = {"even": {"late": {"dq": round(usual, 4)}}}
+            yield Finding(view.columns("dq"), f"{seen} q", cause, mended)
         for j, column in enumerate(view.columns("dq")) if view.resolves else ():
             rate, change = log.dq[:, [j]], moved[:, [j]]
             delay = delay_between(t, rate, change, LATEST_RATE)
             seen = _delay_seen(view, delay, rate, change, LATE_RATE)
             if seen and abs(delay - usual) > LATE_RATE:
-                late = {"even": {"late": {column: round(delay, 4)}}}
-                yield Finding((column,), f"{seen} {column[1:]}", cause, late)
+                mended = {"even": {"late": {column: round(delay, 4)}}}
+                yield Finding((column,), f"{seen} {column[1:]}", cause, mended)
     if log.has("ref_v"):
         moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
         delay = delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
