@@ -11,13 +11,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.clock import (
-    Columns,
-    brought_forward,
-    column_kind,
-    evened,
-    without_holds,
-)
+from surefoot.sim.importing.clock import Columns, column_kind, resampled, without_holds
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
@@ -133,7 +127,7 @@ class RawRecording:
 def _with_contacts_forward(log: Log, delays: Mapping[str, float]) -> Log:
     """The log with its contacts, all or of single legs, earlier by their delays [s]."""
     _check_known("late", delays, log.columns)
-    frame = pd.DataFrame(brought_forward(log.columns, delays))
+    frame = pd.DataFrame(resampled(log.columns, log.t, delays))
     meta = replace(log.meta, derived=(*log.meta.derived, *_earlier_words(delays)))
     return replace(log, frame=frame, meta=meta)
 
@@ -165,13 +159,13 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     _check_known("late", even.late, main)
     said = [f"{kind} (between held readings)" for kind in even.held]
     said += _earlier_words(even.late)
-    main = without_holds(main, even.held)
-    if even.late:
-        main = brought_forward(main, even.late)
-    rate = even.rate or _rate(main["t"])
-    size = 8.0 * len(main) * rate * (main["t"][-1] - main["t"][0])
+    t = main["t"]
+    rate = even.rate or _rate(t)
+    size = 8.0 * len(main) * rate * (t[-1] - t[0])
     check_limit("memory", size, f"[even] at {rate:g} Hz: bytes in memory")
-    return evened(main, rate), [*said, f"rows at {rate:g} Hz"]
+    times = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
+    main = resampled(without_holds(main, even.held), times, even.late)
+    return main, [*said, f"rows at {rate:g} Hz"]
 
 
 def _with_joint_signs(main: Columns, rules: ImportMap) -> Columns:

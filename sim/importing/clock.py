@@ -68,7 +68,7 @@ def on_clock(
         if len(stamps) == len(t) and np.array_equal(stamps, t):
             table[name] = values[inside]
         elif is_event(name):
-            table[name] = values[np.searchsorted(stamps, t[inside], "right") - 1]
+            table[name] = values[np.searchsorted(stamps, t[inside] + _ROUNDED, "right") - 1]
         elif name.startswith(("gyro_", "accel_")) and _rate(stamps) > averaged * _rate(t):
             table[name] = means(t[inside], stamps, values)
         else:
@@ -168,14 +168,6 @@ def jitter_line(t: np.ndarray) -> str | None:
     )
 
 
-def evened(table: Columns, rate: float) -> Columns:
-    """Resample the rows of a table with `t` to an even rate [Hz] over the same time."""
-    t = table["t"]
-    even = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
-    streams = {name: (t, values) for name, values in table.items() if name != "t"}
-    return on_clock(even, streams, "the log", averaged=0.0)
-
-
 def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
     """Interpolate the held columns of these kinds linearly between their samples."""
     found, t = dict(table), table["t"]
@@ -186,26 +178,21 @@ def without_holds(table: Columns, kinds: tuple[str, ...]) -> Columns:
     return found
 
 
-def brought_forward(table: Columns, delays: Mapping[str, float]) -> Columns:
-    """Shift columns of these kinds or names to earlier times, by their delay [s]; events hold their
-    last value.
+def resampled(table: Columns, t: np.ndarray, delays: Mapping[str, float]) -> Columns:
+    """Resample a table to the times t (N,) [s], and shift columns of some kinds or names to earlier
+    ones, by their delay [s].
 
-    Rows at the ends for which a column has no value are cut.
+    Times for which a column has no value are cut; raises SurefootError if none is left.
     """
-    t = table["t"]
-    begin, end = t[0] - min(0.0, *delays.values()), t[-1] - max(0.0, *delays.values())
-    inside = (t >= begin) & (t <= end)
-    found = {name: values[inside] for name, values in table.items()}
+    streams: dict[str, Stamped] = {}
     for name, values in table.items():
-        delay = delays.get(name, delays.get(column_kind(name))) if name != "t" else None
-        if delay is None:
-            continue
-        if is_event(name):
-            rows = np.searchsorted(t, t[inside] + delay + _ROUNDED, "right") - 1
-            found[name] = values[np.maximum(rows, 0)]
-        else:
-            found[name] = np.interp(t[inside] + delay, t, values)
-    return found
+        delay = delays.get(name, delays.get(column_kind(name), 0.0))
+        streams[name] = table["t"] - delay, values
+    del streams["t"]
+    inside = t[t <= table["t"][-1] - max((0.0, *delays.values()))]
+    if not len(inside):
+        raise SurefootError("[even] late: is longer than the recording")
+    return on_clock(inside, streams, "[even]", averaged=0.0)
 
 
 def column_kind(name: str) -> str:

@@ -27,9 +27,7 @@ REFERENCE_OFFSET = "reference_offset"
 """Key of a log's `meta.model`: clock offset [s] with which its reference was imported."""
 
 
-def poses_of(
-    table: Columns, path: Path, unit: str = "row", rows: np.ndarray | None = None
-) -> tuple[Poses, list[str]]:
+def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[Poses, list[str]]:
     """Poses in a reference's own columns t, ref_p and ref_q, or ref_roll, ref_pitch and ref_yaw:
     R = Rz(yaw) Ry(pitch) Rx(roll); and a note on samples without an attitude, which are left out.
 
@@ -46,7 +44,7 @@ def poses_of(
     if 0 < len(lost) < len(q):
         known[lost] = False
         notes.append(f"{path}: left out: {len(lost)} samples without an attitude (0, 0, 0, 0)")
-    q = unit_quaternions(path, q[known], unit, None if rows is None else rows[known])
+    q = unit_quaternions(path, q[known], unit, rows[known])
     return Poses(table["t"][known], p[known], q), notes
 
 
@@ -90,11 +88,12 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         rules: whose `[reference]` gives the body, its position and the clock's offset.
         name: of the recording, for offsets that differ between recordings.
     """
-    if rules.sections.reference is None:
+    reference = rules.sections.reference
+    if reference is None:
         return poses
-    moved = tracked_poses(poses, rules.sections.reference)
-    moved = Poses(moved.t + reference_offset(rules, name), moved.p, moved.q)
-    if rules.sections.reference.frame == "base":
+    moved = tracked_poses(poses, reference)
+    moved = replace(moved, t=moved.t + reference_offset(rules, name))
+    if reference.frame == "base":
         if "p_BI" not in rules.model:
             raise SurefootError(
                 f'{rules.path}: [reference] frame "base" needs [robot] imu_position'
@@ -102,8 +101,8 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
         p_BI = np.array(rules.model["p_BI"])
         return mounted(moved, -R_BI.T @ p_BI, R_BI.T)
-    R_IM = matrix_from_quaternion(np.array(rules.sections.reference.q_IM))
-    return mounted(moved, np.array(rules.sections.reference.p_IM), R_IM)
+    R_IM = matrix_from_quaternion(np.array(reference.q_IM))
+    return mounted(moved, np.array(reference.p_IM), R_IM)
 
 
 def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:
@@ -134,28 +133,25 @@ def with_reference(main: Columns, poses: Poses, source: str) -> Columns:
             f" overlap: {unit}another clock? surefoot align finds [reference] offset"
         )
     main = {column: values[inside] for column, values in main.items()}
-    p, q, ok = interpolate_reference(main["t"], poses.t, poses.p, poses.q)
-    main |= {f"ref_p_{axis}": p[:, i] for i, axis in enumerate("xyz")}
-    main |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+    at, ok = interpolate_reference(main["t"], poses)
+    main |= {f"ref_p_{axis}": at.p[:, i] for i, axis in enumerate("xyz")}
+    main |= {f"ref_q_{axis}": at.q[:, i] for i, axis in enumerate("wxyz")}
     return main | {"ref_ok": ok.astype(float)}
 
 
-def interpolate_reference(
-    t: np.ndarray, reference_t: np.ndarray, p: np.ndarray, q: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Interpolate poses at reference_t (M,) to t (N,): p (M, 3) linearly, q (M, 4) by slerp.
+def interpolate_reference(t: np.ndarray, poses: Poses) -> tuple[Poses, np.ndarray]:
+    """Interpolate poses to t (N,), within their times: positions linearly, attitudes by slerp.
 
-    Returns p (N, 3), unit q (N, 4) and ok (N,): False strictly inside a gap over MAX_GAP. All t
-    must lie within the reference.
+    Returns the poses, and ok (N,): False strictly inside a gap over MAX_GAP.
     """
-    after = np.clip(np.searchsorted(reference_t, t, side="left"), 1, len(reference_t) - 1)
-    start, end = reference_t[after - 1], reference_t[after]
+    after = np.clip(np.searchsorted(poses.t, t, side="left"), 1, len(poses.t) - 1)
+    start, end = poses.t[after - 1], poses.t[after]
     ok = (end - start <= MAX_GAP) | (t == start) | (t == end)
-    position = np.column_stack([np.interp(t, reference_t, x) for x in p.T])
-    attitude = slerp(reference_t, q, t)
+    position = np.column_stack([np.interp(t, poses.t, x) for x in poses.p.T])
+    attitude = slerp(poses.t, poses.q, t)
     # As recorded, q may stand for its negative.
-    opposite = np.sum(attitude * q[after - 1], axis=1, keepdims=True) < 0.0
-    return position, np.where(opposite, -attitude, attitude), ok
+    opposite = np.sum(attitude * poses.q[after - 1], axis=1, keepdims=True) < 0.0
+    return Poses(t, position, np.where(opposite, -attitude, attitude)), ok
 
 
 def reference_offset(rules: ImportMap, name: str) -> float:

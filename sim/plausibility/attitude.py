@@ -8,20 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.importing.advice import Changes, entries, quaternion
 from surefoot.sim.importing.reference import REFERENCE_OFFSET
-from surefoot.sim.plausibility.comparison import (
-    GYRO,
-    HARDLY,
-    LATE,
-    LATEST,
-    LIKELY,
-    REF_P,
-    SURELY,
-    angle_between,
-    match_axes,
-    number_words,
-)
+from surefoot.sim.plausibility.comparison import angle_between, match_axes, number_words
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.view import MEAN, LogView
+from surefoot.sim.plausibility.limits import HARDLY, LATE, LATEST, LIKELY, SURELY
+from surefoot.sim.plausibility.view import GYRO, MEAN, REF_P, REF_Q, LogView
 
 _CLEARLY = 0.02
 """Least improvement of the correlation by a delay."""
@@ -29,7 +19,6 @@ TILT = 45.0
 """Angle between gravity and the reference's vertical that no mounting error explains [deg]."""
 _UPRIGHT = 30.0
 """Largest such angle that an interpretation which corrects the reference leaves [deg]."""
-REF_Q = tuple(f"ref_q_{a}" for a in "wxyz")
 _LAST_IS_W = {f"ref_q_{a}": f"ref_q_{b}" for a, b in zip("wxyz", "zwxy", strict=True)}
 """Column -> that which was taken for it, where w is the last number and was read as the first."""
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))

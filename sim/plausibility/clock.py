@@ -7,9 +7,9 @@ import numpy as np
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.importing.clock import legs_moving, set_forward
 from surefoot.sim.importing.columns import UNITS
-from surefoot.sim.plausibility.comparison import LIKELY, SCALED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.view import RESTS, LogView
+from surefoot.sim.plausibility.limits import LIKELY, RESTS, SCALED
+from surefoot.sim.plausibility.view import LogView
 
 STEP_OFF = 0.02
 """Relative difference between the median step and the metadata's rate: a computer's clock is good

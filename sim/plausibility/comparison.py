@@ -1,6 +1,6 @@
 """Comparison of streams that should measure the same: order, signs, scales and delays."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import log, pi
 from typing import Any
@@ -8,36 +8,12 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from surefoot.sim.importing.advice import Changes, entries
+from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.plausibility.finding import Finding
+from surefoot.sim.plausibility.limits import GAIN, HARDLY, LIKELY, SCALED, SURELY
 
-GYRO, ACCEL, REF_P, REF_V = (
-    tuple(f"{kind}_{a}" for a in "xyz") for kind in ("gyro", "accel", "ref_p", "ref_v")
-)
-SURELY, LIKELY, HARDLY = 0.9, 0.7, 0.5
-"""Correlation from which two streams measure the same, surely and likely, and below which they do
-not. Clean walks have 0.97 and more (gyros, rates of joints) and 0.8 (accelerometers) with what they
-measure, below 0.6 with other axes, since roll and sway are correlated, and 0.87 at most at a delay
-of whole strides. Measured drives have 0.7 with their models.
-"""
-SCALED = 0.1
-"""Relative scale error of streams that measure the same; single columns have twice as much. Data
-sheets allow 3 %; averages over a stride, filters of drives and lever arms cost several percent.
-"""
-MENDED = 0.6
-"""Share of a mean squared error that a correction may leave. On clean walks and a measured Go1,
-each wrong order of legs or contacts has at least 1.66 times as much as the right one; two swapped
-axes of a gyro leave 0.15 and 0.52 to 0.56 if corrected; a lever arm where there is none 0.86.
-"""
-GAIN = 0.4
-"""Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
-LATE, LATEST = 0.02, 2.0
-"""Delay of a reference that is reported [s], at 1 m/s the body moves 2 cm in it, and clocks set by
-hand or network are worse (`trace` finds smaller ones as an effect); and the largest that is
-searched for, `surefoot align` searches further.
-"""
 NEAR = 1.2
 """Largest ratio of a stream's scale to that of the unit it is taken to be in."""
 _FEWEST_ROWS = 10
@@ -79,6 +55,11 @@ class AxesMatch:
     def exchanged(self) -> np.ndarray:
         """Mask (D,) of the columns that match another than their own."""
         return self.order != np.arange(len(self.order))
+
+    @property
+    def surely(self) -> np.ndarray:
+        """Numbers of the columns that surely measure what they match."""
+        return np.flatnonzero(self.best > SURELY)
 
     @property
     def wrong(self) -> tuple[int, ...]:
@@ -153,6 +134,32 @@ def in_another_unit(
     return f"in {unit}, not {si}", entries(columns, unit=unit) if unit in UNITS[kind] else {}
 
 
+def of_scale(
+    columns: Sequence[str], factors: np.ndarray, expected: str, otherwise: str, error: np.ndarray
+) -> Iterator[Finding]:
+    """The findings for rates that are `factors` (D,) times the expected ones: with a factor that
+    most of them have, or with one of their own.
+
+    Args:
+        columns: their names.
+        factors: (D,).
+        expected: name of these.
+        otherwise: cause of a common factor that is that of no unit.
+        error: (D,) of the factors; what lies between samples makes them smaller, never larger.
+    """
+    typical = float(np.median(factors))
+    together = np.abs(factors / typical - 1.0) < 2.0 * SCALED
+    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
+    common = 1.0 if as_expected or 2 * together.sum() <= len(columns) else typical
+    for column, factor, unsure in zip(columns, factors.tolist(), error, strict=True):
+        if abs(factor / common - 1.0) > 2.0 * SCALED + unsure:
+            changes = scaled(column, factor / common)
+            yield Finding((column,), f"{factor:.3g} times {expected}", "scaled", changes)
+        elif common != 1.0:
+            cause, changes = in_another_unit("gyro", (column,), common, otherwise)
+            yield Finding((column,), f"{common:.3g} times {expected}", cause, changes)
+
+
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     """Angle between two vectors (3,) [deg]."""
     size = max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9)
@@ -164,12 +171,20 @@ def correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(match_axes(a[:, None], b[:, None]).paired[0])
 
 
-def sign_change(
-    at: np.ndarray, logged: np.ndarray, moved: np.ndarray, always: float = SURELY
-) -> float | None:
-    """Time at which a stream changes its sign relative to the expected one; None where it does not.
+def changing_sign(
+    column: str,
+    expected: str,
+    at: np.ndarray,
+    logged: np.ndarray,
+    moved: np.ndarray,
+    always: float = SURELY,
+) -> Finding | None:
+    """The finding for a stream that changes its sign relative to the expected one; None where it
+    does not.
 
     Args:
+        column: name of the stream.
+        expected: name of the expected one.
         at: times (M,) [s].
         logged: the stream (M,), such as a joint's rate.
         moved: the expected one (M,), such as the derivative of the joint's angle.
@@ -185,12 +200,7 @@ def sign_change(
     least = min(abs(before), abs(after))
     if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
         return None
-    return float(at[k])
-
-
-def of_changing_sign(column: str, since: float, expected: str) -> Finding:
-    """The finding for a stream with another sign `since` some time [s]."""
-    seen = f"at {since:.2f} s, relative to {expected}"
+    seen = f"at {at[k]:.2f} s, relative to {expected}"
     return Finding((column,), seen, "its sign, or that of its angle, changes during the log")
 
 

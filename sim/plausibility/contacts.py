@@ -65,11 +65,11 @@ def flickering(view: LogView) -> Iterator[Finding]:
     Remedy: [contact] debounce, or a threshold that is further from the noise; `import` compares
         sources of contacts.
     """
-    rate = np.array([_changes(view.t, x) for x in view.log.contact.T]) / np.ptp(view.t)
-    if (rate > FLICKERS).any():
-        cause = "noise about the threshold: on, off and debounce of [contact]"
-        columns = view.columns("contact", rate > FLICKERS)
-        yield Finding(columns, f"{rate.max():.0f} changes a second", cause)
+    for i, contact in enumerate(view.log.contact.T):
+        rate = _changes(view.t, contact) / np.ptp(view.t)
+        if rate > FLICKERS:
+            cause = "noise about the threshold: on, off and debounce of [contact]"
+            yield Finding(view.columns("contact", [i]), f"{rate:.0f} changes a second", cause)
 
 
 @plausibility_rule("contacts", "contact")
@@ -90,15 +90,12 @@ def dead(view: LogView) -> Iterator[Finding]:
     if contact.shape[1] < 2:
         return
     steps = np.array([_lasting(view.t, one) for one in contact.T])
-    wrong = _never_changes(view, steps)
-    for state in (1, 0):
-        columns = view.columns("contact", wrong & (contact[0] == state))
-        if columns:
-            seen = f"always {state} although the robot walks"
-            yield Finding(columns, seen, "a dead sensor, or a wrong threshold")
     usual = float(np.median(steps))
+    for i in np.flatnonzero(_never_changes(view, steps)):
+        cause = f"a dead sensor, or a wrong threshold: always {contact[0, i]:d}"
+        yield Finding(view.columns("contact", [i]), "no change although the robot walks", cause)
     for i in np.flatnonzero(np.ptp(contact.astype(int), axis=0)):
-        column = (f"contact_{view.log.legs[i]}",)
+        column = view.columns("contact", [i])
         # Of two feet, neither is unlike most.
         if len(steps) > 2 and usual >= MOST_SURE and 0 < steps[i] < MISSES * usual:
             seen = f"changes {steps[i]} times, where most feet do {usual:.0f} times"
@@ -108,8 +105,9 @@ def dead(view: LogView) -> Iterator[Finding]:
             t, beside = view.t[rows], np.delete(contact, i, axis=1)[rows]
             others = np.median([_lasting(t, x) for x in beside.T])
             if others >= OTHERS_CHANGE:
-                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s, while the others change"
-                yield Finding(column, f"{seen} {others:.0f} times", "a sensor that hangs")
+                seen = f"no change, while the others change {others:.0f} times"
+                when = f"from {t[0]:.2f} to {t[-1]:.2f} s"
+                yield Finding(column, seen, f"a sensor that hangs {when}")
 
 
 def _never_changes(view: LogView, steps: np.ndarray) -> np.ndarray:
@@ -138,8 +136,7 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     if legs is None:
         return np.full(len(view.log.legs), np.nan)
     some = legs.at(np.flatnonzero(legs.contact.any(axis=1)))
-    by_foot = some.body_velocity(view.gyro[some.which])
-    by_foot = np.where(some.contact[..., None], by_foot, np.nan)
+    by_foot = np.where(some.contact[..., None], some.by_leg, np.nan)
     apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
     share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)

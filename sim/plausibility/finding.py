@@ -5,11 +5,10 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 from surefoot.sim.importing.advice import Changes, advice_words
+from surefoot.sim.plausibility import limits
 
-_When = Literal["comparable", "compares_turning", "trusts_reference"] | None
 _Find = Callable[..., Iterator["Finding"]]
 PARAGRAPHS = ("Compares", "Threshold", "Reason", "Remedy")
 """Titles of the paragraphs that explain a rule."""
@@ -21,7 +20,7 @@ class Finding:
 
     Attributes:
         streams: columns concerned.
-        evidence: what was measured, with its unit.
+        evidence: what was measured, with its unit; of several columns, that of the first.
         cause: the likely one, and what is to be decided or found out to correct it.
         changes: to the import map, that correct it; none where they are not known.
         rule: name of the rule.
@@ -54,7 +53,7 @@ class Rule:
         find: the function, of a `LogView`.
         needs: columns or their prefixes; the rule is skipped where one is missing or in doubt.
         beside: columns or prefixes that may be missing, but must not be in doubt.
-        when: property of the view without which there is nothing to compare.
+        when: properties of the view without which there is nothing to compare.
         is_note: whether it is only good to know, and puts no column in doubt.
     """
 
@@ -62,16 +61,16 @@ class Rule:
     find: _Find
     needs: tuple[str, ...]
     beside: tuple[str, ...]
-    when: _When
+    when: tuple[str, ...]
     is_note: bool
 
     @property
     def explained(self) -> dict[str, str]:
         """The paragraphs of its docstring, by the titles of PARAGRAPHS.
 
-        Names in braces are those of its module.
+        Names in braces are those of its module, or shared limits.
         """
-        known = vars(sys.modules[self.find.__module__])
+        known = vars(limits) | vars(sys.modules[self.find.__module__])
         titles = re.compile(rf"^({'|'.join(PARAGRAPHS)}): ", re.M)
         _, *parts = titles.split(inspect.getdoc(self.find) or "")
         texts = (" ".join(text.split()).removesuffix(".").format_map(known) for text in parts[1::2])
@@ -79,16 +78,17 @@ class Rule:
 
 
 def plausibility_rule(
-    name: str, needs: str = "", beside: str = "", when: _When = None, is_note: bool = False
+    name: str, needs: str = "", beside: str = "", when: str = "", is_note: bool = False
 ) -> Callable[[_Find], Rule]:
     """Make a function that finds violations in a log a `Rule`.
 
     Args:
         name: of the rule.
-        needs, beside: as of `Rule`, each in one text.
-        when, is_note: as of `Rule`.
+        needs, beside, when: as of `Rule`, each in one text.
+        is_note: as of `Rule`.
     """
-    return lambda find: Rule(name, find, tuple(needs.split()), tuple(beside.split()), when, is_note)
+    needed = tuple(needs.split()), tuple(beside.split()), tuple(when.split())
+    return lambda find: Rule(name, find, *needed, is_note)
 
 
 def _named(columns: Sequence[str]) -> str:

@@ -10,24 +10,17 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.importing.advice import entries, quaternion
 from surefoot.sim.plausibility.comparison import (
-    ACCEL,
-    GAIN,
-    GYRO,
-    HARDLY,
-    LIKELY,
-    MENDED,
-    REF_P,
-    SCALED,
-    SURELY,
     AxesMatch,
     angle_between,
     in_another_unit,
     match_axes,
     number_words,
+    of_scale,
 )
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import FEWEST, GAIN, HARDLY, LATE_STREAM, LIKELY, MENDED
 from surefoot.sim.plausibility.reference import SPEEDING, other_point, speed_changes
-from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, STEP, LogView
+from surefoot.sim.plausibility.view import ACCEL, GYRO, REF_P, STEP, LogView
 
 ZERO_G = 0.8
 """Difference of an accelerometer's mean from gravity [m/s^2]: InvenSense MPU-6050 product
@@ -139,7 +132,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
     return Finding(columns, seen, f"wrong sign{why}", entries(columns, sign=-1.0))
 
 
-@plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference")
+@plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference resolves")
 def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
@@ -149,8 +142,6 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     Reason: impacts and filters blur accelerations, to factors of 0.6 to 1.2 in clean walks.
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
-    if not view.resolves:
-        return
     accel, felt = view.accel[view.ok], view.felt[view.ok]
     R_GI = view.attitudes(0.0, view.ok)
     in_body = match_axes(accel, felt)
@@ -283,24 +274,16 @@ def gyro(view: LogView) -> Iterator[Finding]:
     elif match.wrong:
         yield match.finding("gyro", "the reference's turning")
     elif match.alike:
-        yield from _gyro_scaled(match)
+        sure = match.surely
+        if sure.size:
+            columns, unsure = view.columns("gyro", sure), 1.0 - match.best[sure]
+            expected = "as fast as the reference turns"
+            yield from of_scale(columns, match.scale[sure], expected, "scaled", unsure)
         yield from _gyro_biased(view)
     elif view.resolves:
         seen = f"correlation of turning {number_words(match.paired)} about x, y, z"
         cause = "another body, other axes or another clock; try surefoot align"
         yield Finding((*GYRO, "ref_q"), seen, cause)
-
-
-def _gyro_scaled(match: AxesMatch) -> Iterator[Finding]:
-    """Check the scale of a gyro that matches the reference: of all axes, or of a single one."""
-    unlike = (match.best > SURELY) & (np.abs(np.log(match.scale)) > np.log1p(2.0 * SCALED))
-    factor, columns = match.scaled, GYRO
-    if unlike.sum() == 1:
-        one = int(np.argmax(unlike))
-        factor, columns = float(match.scale[one]), (GYRO[one],)
-    if abs(factor - 1.0) > SCALED:
-        seen = f"{factor:.3g} times as fast as the reference turns"
-        yield Finding(columns, seen, *in_another_unit("gyro", columns, factor, "scaled"))
 
 
 def _gyro_biased(view: LogView) -> Iterator[Finding]:

@@ -13,18 +13,9 @@ import numpy as np
 from surefoot.sim.importing.advice import entries, scaled
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.comparison import (
-    HARDLY,
-    LIKELY,
-    SCALED,
-    SURELY,
-    correlation,
-    in_another_unit,
-    match_axes,
-    of_changing_sign,
-    sign_change,
-)
+from surefoot.sim.plausibility.comparison import changing_sign, correlation, match_axes, of_scale
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import HARDLY, LIKELY, SCALED, SURELY
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
 
@@ -83,73 +74,53 @@ def rates(view: LogView) -> Iterator[Finding]:
     logged, moved = view.means(log.dq), view.changes(log.q)
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
     moves = np.flatnonzero((size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error))
-    names, slow = np.array(log.joints)[moves], size[moves] < _MOVES
+    columns, slow = view.columns("dq", moves), size[moves] < _MOVES
     logged, moved = logged[:, moves], moved[:, moves]
     match = match_axes(logged, moved)
     paired, slope = match.paired, logged.std(axis=0) / moved.std(axis=0)
-    changes = [sign_change(view.at, *both) for both in zip(logged.T, moved.T, strict=True)]
-    steady = np.array([since is None for since in changes], dtype=bool)
-    swapped = steady & match.exchanged & ~slow & (match.best - np.abs(paired) > _ANOTHERS)
+    changing = [
+        changing_sign(column, f"the change of {column[1:]}", view.at, logged[:, i], moved[:, i])
+        for i, column in enumerate(columns)
+    ]
+    steady = np.array([one is None for one in changing], dtype=bool)
+    another = match.exchanged & (match.best > LIKELY) & (match.best - np.abs(paired) > _ANOTHERS)
+    swapped = steady & another & ~slow
     opposite = steady & ~swapped & (paired < np.where(slow, -LIKELY, -HARDLY))
     good = steady & ~swapped & (paired > np.where(slow, SURELY, LIKELY))
-    inverted = opposite & (slope < _INVERTED * (np.median(slope[good]) if good.any() else 1.0))
-    for name, since in zip(names, changes, strict=True):
-        if since is not None:
-            yield of_changing_sign(f"dq_{name}", since, f"the change of q_{name}")
-    for i in np.flatnonzero(swapped | (steady & ~slow & ~opposite & (paired < HARDLY))):
-        column, seen = (
-            f"dq_{names[i]}",
-            f"correlation with the change of q_{names[i]} {paired[i]:.2f}",
-        )
-        if match.best[i] > LIKELY and swapped[i]:
-            its = names[match.order[i]]
-            seen += f", of q_{its} {match.best[i]:.2f}"
-            cause, mended = f"it is the rate of {its}: swapped", entries((f"dq_{its}",), of=column)
-        else:
+    slowest = _INVERTED * (np.median(slope[good]) if good.any() else 1.0)
+    of_angle = legs.opposite_angles(view) if np.any(opposite & (slope >= slowest)) else set()
+    for i, (column, found) in enumerate(zip(columns, changing, strict=True)):
+        angle, seen = column[1:], f"correlation with the change of {column[1:]} {paired[i]:.2f}"
+        if found is not None:
+            yield found
+        elif swapped[i]:
+            rate = columns[match.order[i]]
+            seen = f"{seen}, of {rate[1:]} {match.best[i]:.2f}"
+            cause = f"it is the rate of {rate.removeprefix('dq_')}: swapped"
+            yield Finding((column,), seen, cause, entries((rate,), of=column))
+        elif opposite[i] and slope[i] < slowest:
+            seen = f"{seen}, at {slope[i]:.2g} of its size"
+            yield Finding((column,), seen, "a slow filter, which inverts a vibration")
+        elif opposite[i]:
+            wrong = (angle if angle in of_angle else column,)
+            cause = "wrong sign, or time runs backwards" if opposite.all() else "wrong sign"
+            yield Finding(wrong, seen, cause, entries(wrong, sign=-1.0))
+        elif not slow[i] and paired[i] < HARDLY:
             cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            mended = {}
-        yield Finding((column,), seen, cause, mended)
-    for i in np.flatnonzero(inverted):
-        seen = f"correlation with the change of q {paired[i]:.2f}, at {slope[i]:.2g} of its size"
-        yield Finding((f"dq_{names[i]}",), seen, "a slow filter, which inverts a vibration")
-    flipped = np.flatnonzero(opposite & ~inverted)
-    of_angle = legs.opposite_angles(view) if flipped.size else set()
-    for kind in ("q", "dq"):
-        which = [i for i in flipped if (f"q_{names[i]}" in of_angle) == (kind == "q")]
-        if which:
-            columns = tuple(f"{kind}_{names[i]}" for i in which)
-            seen = f"correlation of dq with the change of q {paired[which].max():.2f} at best"
-            cause = "wrong sign" + ", or time runs backwards" * (len(which) == len(names))
-            yield Finding(columns, seen, cause, entries(columns, sign=-1.0))
-    if good.any() and view.resolves:
-        # What does not correlate says nothing of the size.
-        yield from _rates_scaled(names[good], slope[good], (error[moves] + 1.0 - paired)[good])
-
-
-def _rates_scaled(names: np.ndarray, slope: np.ndarray, error: np.ndarray) -> Iterator[Finding]:
-    """Check the scale of rates of G joints, as the slope (G,) over the changes of angles, with the
-    error (G,) of that.
-    """
-    typical = float(np.median(slope))
-    together = np.abs(slope / typical - 1.0) < 2.0 * SCALED
-    # What lies between samples makes rates smaller, never larger.
-    as_expected = -SCALED - np.median(error) < typical - 1.0 < SCALED
-    if as_expected or 2 * together.sum() <= len(names):
-        typical = 1.0
-    else:
-        columns, angles = (
-            tuple(f"{kind}_{name}" for name in names[together]) for kind in ("dq", "q")
-        )
-        seen = f"{typical:.3g} times the change of q"
-        if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
-            yield Finding(angles, seen, "angles in deg, not rad", entries(angles, unit="deg"))
-        else:
-            otherwise = "scaled, or stamps at a wrong rate"
-            yield Finding(columns, seen, *in_another_unit("gyro", columns, typical, otherwise))
-    for i in np.flatnonzero(np.abs(slope / typical - 1.0) > 2.0 * SCALED + error):
-        column, seen = f"dq_{names[i]}", f"{slope[i]:.3g} times the change of q_{names[i]}"
-        too_large = float(slope[i]) / typical
-        yield Finding((column,), seen, "scaled, or its angle is", scaled(column, too_large))
+            yield Finding((column,), seen, cause)
+    if not good.any() or not view.resolves:
+        return
+    typical = float(np.median(slope[good]))
+    if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
+        angles = view.columns("q", moves[good])
+        less = f"{typical:.3g} times the change of q"
+        yield Finding(angles, less, "angles in deg, not rad", entries(angles, unit="deg"))
+        return
+    # What does not correlate says nothing of the size.
+    unsure = (error[moves] + 1.0 - paired)[good]
+    otherwise = "scaled, or stamps at a wrong rate"
+    named = view.columns("dq", moves[good])
+    yield from of_scale(named, slope[good], "the change of q", otherwise, unsure)
 
 
 @plausibility_rule("joints' unit", "q")
@@ -191,18 +162,14 @@ def stops(view: LogView) -> Iterator[Finding]:
         return
     low, high = view.robot.joint_range.T
     share, mirrored = (np.mean(np.maximum(low - x, x - high) > BEYOND, axis=0) for x in (q, -q))
-    over = np.flatnonzero(share > BEYOND_SHARE)
-    if not over.size:
-        return
-    worst = over[np.argmax(share[over])]
-    limits = f"{low[worst]:.2f} to {high[worst]:.2f} rad of {view.robot.name}"
-    seen = f"{names[worst]} is beyond {limits} in {100 * share[worst]:.0f} % of rows, median"
-    seen += f" {np.median(q[:, worst]):.2f} rad"
-    cause, changes = "wrong zero, swapped joints, or another robot", {}
-    if np.all(mirrored[over] < BEYOND_SHARE):
-        cause = "wrong sign, swapped joints, or another robot"
-        changes = {"robot": {"joint_sign": {names[j]: -1.0 for j in over}}}
-    yield Finding(view.columns("q", over), seen, cause, changes)
+    over = share > BEYOND_SHARE
+    flipped = np.all(mirrored[over] < BEYOND_SHARE)
+    cause = f"wrong {'sign' if flipped else 'zero'}, swapped joints, or another robot"
+    for j in np.flatnonzero(over):
+        limits = f"{low[j]:.2f} to {high[j]:.2f} rad of {view.robot.name}"
+        seen = f"beyond {limits} in {100 * share[j]:.0f} % of rows, median {np.median(q[:, j]):.2f}"
+        changes = {"robot": {"joint_sign": {names[j]: -1.0}}} if flipped else {}
+        yield Finding(view.columns("q", [j]), f"{seen} rad", cause, changes)
 
 
 @plausibility_rule("torque", "tau")
@@ -218,15 +185,13 @@ def torques(view: LogView) -> Iterator[Finding]:
         return
     limit = view.robot.torque_limit
     strong = np.quantile(np.abs(view.log.tau), 0.99, axis=0)
-    over = np.flatnonzero(strong > TOO_STRONG * limit)
-    if over.size:
-        j = over[np.argmax(strong[over] / limit[over])]
-        seen = f"{strong[j]:.3g} N m, where the drive gives {limit[j]:.3g}"
-        columns = view.columns("tau", over)
-        thousand = np.median(strong[over] / limit[over]) > 30.0
-        changes = entries(columns, unit="mN m") if thousand else {}
-        cause = "in mN m, not N m" if thousand else "another unit, or another robot"
-        yield Finding(columns, seen, cause, changes)
+    over = strong > TOO_STRONG * limit
+    thousand = over.any() and np.median((strong / limit)[over]) > 30.0
+    cause = "in mN m, not N m" if thousand else "another unit, or another robot"
+    for j in np.flatnonzero(over):
+        column, seen = view.columns("tau", [j]), f"{strong[j]:.3g} N m"
+        changes = entries(column, unit="mN m") if thousand else {}
+        yield Finding(column, f"{seen}, where the drive gives {limit[j]:.3g}", cause, changes)
 
 
 @plausibility_rule("magnitudes", "tau")
@@ -307,7 +272,9 @@ class _Explained:
         rest: regressors (M, R) of these.
         alike: two series (M,) whose correlation has the sign of the stream.
         holds: time without a change, while what it explains goes on, from which it is stuck [s].
-        words: for what is expected, what goes on, why it is stuck, and why its scale is another.
+        witness: name of what is expected.
+        why_stuck: cause of a stream that is stuck.
+        otherwise: cause of another scale.
     """
 
     column: str
@@ -316,7 +283,9 @@ class _Explained:
     rest: np.ndarray
     alike: tuple[np.ndarray, np.ndarray]
     holds: float
-    words: tuple[str, str, str, str]
+    witness: str
+    why_stuck: str
+    otherwise: str
 
     def fitted(self, where: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, float]:
         """Least-squares fit (M,), and the factor of what is expected, on the times `where`."""
@@ -349,17 +318,17 @@ def driving(view: LogView) -> Iterator[Finding]:
         return
     if any(d.startswith("tau") for d in log.meta.derived):
         return
-    words = ("what the model asks for", "what it drives", "a sensor that hangs",
-             "another unit, of the motor's side, or a load that the model lacks")  # fmt: skip
+    otherwise = "another unit, of the motor's side, or a load that the model lacks"
+    words = "what the model asks for", "a sensor that hangs", otherwise
     tau, dq = view.means(log.tau), view.changes(log.q)
     rigid = machine.dynamics.inverse(view.means(log.q), dq, np.gradient(dq, view.at, axis=0))[1]
     for column, x, expected, rate in zip(view.columns("tau"), tau.T, rigid.T, dq.T, strict=True):
         friction = np.column_stack([np.tanh(rate / SLIDES), rate])
-        one = _Explained(column, x, expected, friction, (x, expected), LIMITED, words)
+        one = _Explained(column, x, expected, friction, (x, expected), LIMITED, *words)
         yield from _drive_faults(view, one)
 
 
-@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable")
+@plausibility_rule("commands of a fixed base", "t q q_des", when="comparable on_fixed_base")
 def followed(view: LogView) -> Iterator[Finding]:
     """Check that the joints of a machine on a fixed base follow their commands.
 
@@ -370,47 +339,45 @@ def followed(view: LogView) -> Iterator[Finding]:
     Reason: nothing but its drive moves a joint of an arm as far.
     Remedy: sign, unit or gain of q_des.
     """
-    if not view.on_fixed_base:
-        return
-    both = view.log.q_des, view.log.q
-    (sent, moved) = (view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in both)
-    (asked, reached) = (view.means(x) for x in both)
+    causes = "a command that was not logged", "another unit than its angle's"
+    both, offset = (view.log.q_des, view.log.q), np.ones((len(view.at), 1))
+    moves = [view.after(x, 0.5 * MOVE) - view.after(x, -0.5 * MOVE) for x in both]
+    asked, reached = (view.means(x) for x in both)
     for j, joint in enumerate(view.log.joints):
-        words = (f"the moves of q_{joint}", f"q_{joint}", "a command that was not logged",
-                 "another unit than its angle's")  # fmt: skip
-        offset, moves = np.ones((len(view.at), 1)), (sent[:, j], moved[:, j])
+        alike, words = (moves[0][:, j], moves[1][:, j]), (f"the motion of q_{joint}", *causes)
         column, x, expected = f"q_des_{joint}", asked[:, j], reached[:, j]
-        one = _Explained(column, x, expected, offset, moves, COMMANDED, words)
+        one = _Explained(column, x, expected, offset, alike, COMMANDED, *words)
         yield from _drive_faults(view, one)
 
 
 def _drive_faults(view: LogView, one: _Explained) -> Iterator[Finding]:
     """Check that a stream changes when what explains it does, its sign and its scale."""
-    column, (witness, what, why_stuck, otherwise) = (one.column,), one.words
+    column = (one.column,)
     if stuck := _stuck(view, one):
-        yield Finding(column, f"{stuck} while {what} goes on", why_stuck)
+        yield Finding(column, f"{stuck} while {one.witness} goes on", one.why_stuck)
         return
     if not (one.x.std() > 0.0 and one.expected.std() > 0.0):
         return
     fitted, scale = one.fitted()
-    alike, since = correlation(*one.alike), sign_change(view.at, *one.alike, LIKELY)
+    alike = correlation(*one.alike)
+    changing = changing_sign(one.column, one.witness, view.at, *one.alike, LIKELY)
     # What is expected alone is inconclusive for a machine that pushes against something.
     explained = correlation(one.x, fitted) > LIKELY
-    if since is not None:
-        yield of_changing_sign(one.column, since, witness)
+    if changing is not None:
+        yield changing
     elif explained and alike < -HARDLY:
-        seen = f"correlation with {witness} {alike:.2f}"
+        seen = f"correlation with {one.witness} {alike:.2f}"
         yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
     elif explained and abs(one.beside_rest) > LIKELY and not DRIVEN[0] < scale < DRIVEN[1]:
-        seen = f"{scale:.3g} times {witness}"
-        yield Finding(column, seen, otherwise, scaled(one.column, scale))
+        seen = f"{scale:.3g} times {one.witness}"
+        yield Finding(column, seen, one.otherwise, scaled(one.column, scale))
 
 
 def _stuck(view: LogView, one: _Explained) -> str:
     """The first section in which a stream does not change, while what explains it does, in words;
     "" where there is none.
     """
-    sections = still_sections(view.t, view.log.frame[one.column].to_numpy(), one.holds)
+    sections = still_sections(view.t, view.log.columns[one.column], one.holds)
     for begin, end in (view.t[[rows.start, rows.stop - 1]] for rows in sections):
         # After a step of a command, a joint is still moving.
         during = (view.at > begin + 0.25 * one.holds) & (view.at < end)

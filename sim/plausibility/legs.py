@@ -3,17 +3,18 @@ delays.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from itertools import permutations, product
 
 import numpy as np
 
 from surefoot.sim.importing.advice import Changes
-from surefoot.sim.plausibility.comparison import LATE, MENDED
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.loads import leaning
+from surefoot.sim.plausibility.limits import FEWEST, LATE, LATE_STREAM, LATEST_STREAM, MENDED
+from surefoot.sim.plausibility.loads import exchanged, leaning
 from surefoot.sim.plausibility.stance import Stance
-from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, STEP, LogView
+from surefoot.sim.plausibility.view import STEP, LogView
 
 MISFIT = 0.01
 """Mean squared velocity of standing feet, relative to the body's, without the worst tenth: 0.006 in
@@ -57,54 +58,27 @@ _TRIED = 600
 """Number of times at which alternatives of joints are tried."""
 
 
-@dataclass(frozen=True)
-class ComparedMotion:
-    """Motion of the body that legs are compared with.
+def misfits(legs: Stance) -> np.ndarray:
+    """Mean squared errors (1 + L,) of the velocity by all legs together, and by each, relative to
+    the body's, without the worst tenth.
 
-    Attributes:
-        gyro: (K, 3) [rad/s].
-        truth: velocity of the body (K, 3) [m/s] in I by the reference; None where it is not
-            trusted.
-        used: mask (K,).
+    NaN where too few feet stand. Without a reference, the legs are compared with their mean.
     """
-
-    gyro: np.ndarray
-    truth: np.ndarray | None
-    used: np.ndarray
-
-    def rows(self, some: np.ndarray) -> "ComparedMotion":
-        """Select some of the K times."""
-        truth = None if self.truth is None else self.truth[some]
-        return ComparedMotion(self.gyro[some], truth, self.used[some])
-
-    def misfit(self, legs: Stance) -> float:
-        """Mean squared error of the legs' velocity, relative to the body's, without the worst
-        tenth.
-
-        NaN where too few legs are in contact. Without a truth, the legs are compared with their
-        mean.
-        """
-        u, on, truth = legs.body_velocity(self.gyro), legs.contact & self.used[:, None], self.truth
-        if truth is None:
-            on = on & (on.sum(axis=1, keepdims=True) > 1)
-            count = np.maximum(on.sum(axis=1, keepdims=True), 1)
-            truth = np.sum(np.where(on[:, :, None], u, 0.0), axis=1) / count
-        on = on & (np.linalg.norm(truth, axis=1) > _MOVES)[:, None]
-        # Swinging feet also move together, so that without a truth some strides are needed.
-        if on.sum() < FEWEST * (1 if self.truth is not None else 2):
-            return float("nan")
-        missed = np.sort(np.sum((u - truth[:, None]) ** 2, axis=2)[on])[: int(0.9 * on.sum())]
-        size = np.broadcast_to(np.sum(truth**2, axis=1)[:, None], on.shape)[on]
-        return float(missed.mean() / size.mean())
-
-    def misfits(self, legs: Stance) -> np.ndarray:
-        """The misfit of each leg (L,)."""
-        each = [slice(i, i + 1) for i in range(legs.contact.shape[1])]
-        return np.array([self.misfit(legs.of_legs(one)) for one in each])
-
-    def all_misfits(self, legs: Stance) -> list[float]:
-        """The misfit of the legs together, and of each (1 + L)."""
-        return [self.misfit(legs), *self.misfits(legs)]
+    by_leg, v_I, on, fewest = legs.by_leg, legs.v_I, legs.contact & legs.used[:, None], FEWEST
+    if not legs.has_truth:
+        # Swinging feet also move together, so that some strides are needed.
+        on, fewest = on & (on.sum(axis=1, keepdims=True) > 1), 2 * FEWEST
+        count = np.maximum(on.sum(axis=1, keepdims=True), 1)
+        v_I = np.sum(np.where(on[:, :, None], by_leg, 0.0), axis=1) / count
+    on = on & (np.linalg.norm(v_I, axis=1) > _MOVES)[:, None]
+    missed = np.sum((by_leg - v_I[:, None]) ** 2, axis=2)
+    size = np.broadcast_to(np.sum(v_I**2, axis=1)[:, None], on.shape)
+    found = []
+    for some in (slice(None), *(slice(i, i + 1) for i in range(on.shape[1]))):
+        at = on[:, some]
+        most = np.sort(missed[:, some][at])[: int(0.9 * at.sum())]
+        found.append(most.mean() / size[:, some][at].mean() if at.sum() >= fewest else np.nan)
+    return np.array(found)
 
 
 @plausibility_rule("legs", "t gyro contact", beside="q ref foot")
@@ -129,52 +103,39 @@ def kinematics(view: LogView) -> Iterator[Finding]:
     legs = view.stance
     if legs is None or len(view.log.legs) < 2:
         return
-    whole = _motion(view, legs)
-    few, turning = _few(legs, whole)
-    misfit = turning.misfit(few) > MISFIT
-    found = _late(view, legs, whole) if misfit else []
-    found = found or _put_right(view, few, turning, misfit) or _late_parts(view, legs, whole)
-    if not found and whole.truth is not None:
-        found = _of_another_robot(few, turning) if misfit else []
+    few = _few(legs)
+    misfit = misfits(few)[0] > MISFIT
+    found = _late(view, legs) if misfit and legs.has_truth else []
+    found = found or _put_right(view, few, misfit)
+    if legs.has_truth:
+        found = found or _late_parts(view, legs)
+        found = found or (_of_another_robot(few) if misfit else [])
         found = found or _climbing(view, legs)
-        found = found or (_zeros(view, few, turning) if misfit else [])
+        found = found or (_zeros(view, few) if misfit else [])
     yield from found
 
 
-def _motion(view: LogView, legs: Stance) -> ComparedMotion:
-    """The motion that legs are compared with."""
-    gyro = view.gyro[legs.which]
-    used = view.ok[legs.which] if view.log.has("reference") else np.ones(len(gyro), bool)
-    return ComparedMotion(gyro, view.v_I[legs.which] if view.trusts_reference else None, used)
-
-
-def _late(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
+def _late(view: LogView, legs: Stance) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
-    if motion.truth is None:
-        return []
-    (lag, *_), (share, *_) = _lags(lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_LEGS)
+    (lag, *_), (share, *_) = _lags(partial(_with_earlier_motion, view, legs), LATEST_LEGS)
     if abs(lag) < view.least_lag(2.0 * LATE) or not share < MENDED:
         return []
     seen = f"move {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
-def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
+def _late_parts(view: LogView, legs: Stance) -> list[Finding]:
     """Find a delay of contacts relative to joints, of all or of one, and of single legs relative to
     the others.
     """
-    if motion.truth is None:
-        return []
 
-    def of_lagging_contacts(seconds: float) -> list[float]:
+    def with_later_contacts(seconds: float) -> Stance:
         rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
-        contact = view.log.contact[np.clip(rows, 0, len(view.t) - 1)]
-        return motion.all_misfits(replace(legs, contact=contact))
+        return replace(legs, contact=view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
 
-    (lag, *contact_lag), (share, *by_contact) = _lags(of_lagging_contacts, LATEST_STREAM)
-    (_, *leg_lag), (_, *by_leg) = _lags(
-        lambda s: _of_lagging_legs(view, legs, motion, s), LATEST_STREAM
-    )
+    (lag, *contact_lag), (share, *by_contact) = _lags(with_later_contacts, LATEST_STREAM)
+    earlier = partial(_with_earlier_motion, view, legs)
+    (_, *leg_lag), (_, *by_leg) = _lags(earlier, LATEST_STREAM)
     least, found = view.least_lag(LATE_STREAM), []
     if abs(lag) > least and share < MENDED:
         cause = "a filter, or another clock" if lag > 0 else "early, or joints are late"
@@ -191,29 +152,26 @@ def _late_parts(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Fin
     return found if 2 * len(found) <= len(view.log.legs) else []
 
 
-def _of_lagging_legs(
-    view: LogView, legs: Stance, motion: ComparedMotion, lag: float
-) -> list[float]:
-    """All misfits of legs that are late [s], with the motion of that much earlier."""
-    assert motion.truth is not None
-    then = np.clip(legs.which - round(lag / STEP), 0, len(view.at) - 1)
-    earlier = ComparedMotion(view.gyro[then], view.v_I[then], motion.used & view.ok[then])
-    return earlier.all_misfits(legs)
+def _with_earlier_motion(view: LogView, legs: Stance, seconds: float) -> Stance:
+    """The feet with the body's motion of some seconds earlier, as if they were that late."""
+    then = np.clip(legs.which - round(seconds / STEP), 0, len(view.at) - 1)
+    used = legs.used & view.ok[then]
+    return replace(legs, gyro=view.gyro[then], v_I=view.v_I[then], used=used)
 
 
-def _lags(left: Callable[[float], list[float]], latest: float) -> tuple[np.ndarray, np.ndarray]:
-    """The delays (D,) [s], up to `latest`, with the smallest misfits, and their ratios to those at
-    0; 0 and 1 where there is no minimum.
+def _lags(lagging: Callable[[float], Stance], latest: float) -> tuple[np.ndarray, np.ndarray]:
+    """The delays (1 + L,) [s], up to `latest`, with the smallest misfits, and their ratios to those
+    at 0; 0 and 1 where there is no minimum.
 
-    `left` gives D misfits for a delay.
+    `lagging` gives the feet for a delay.
     """
     tried = STEP * np.arange(-round(latest / STEP), round(latest / STEP) + 1)
-    misfits = np.array([left(float(lag)) for lag in tried])
-    base = misfits[len(tried) // 2]
-    misfits = np.where(np.isfinite(misfits), misfits, np.inf)
-    best = misfits.argmin(axis=0)
+    every = np.array([misfits(lagging(float(lag))) for lag in tried])
+    base = every[len(tried) // 2]
+    every = np.where(np.isfinite(every), every, np.inf)
+    best = every.argmin(axis=0)
     found = (best > 0) & (best < len(tried) - 1) & (base > 0.0)
-    share = misfits.min(axis=0) / np.where(found, base, 1.0)
+    share = every.min(axis=0) / np.where(found, base, 1.0)
     return np.where(found, tried[best], 0.0), np.where(found, share, 1.0)
 
 
@@ -225,45 +183,38 @@ def _less(gain: float, how: str = "if corrected") -> str:
     return f"the mean square velocity of standing feet is {gain:.3g} times less {how}"
 
 
-def _put_right(view: LogView, legs: Stance, motion: ComparedMotion, misfit: bool) -> list[Finding]:
+def _put_right(view: LogView, legs: Stance, misfit: bool) -> list[Finding]:
     """Find the correction with the smallest misfit: other legs where there is a `misfit` of all
     together, or other signs and orders of joints.
     """
-    gain, found = _swapped(view, legs, motion) if misfit else (1.0, [])
-    more, misread = _misread(view, legs, motion)
+    gain, found = _swapped(view, legs) if misfit else (1.0, [])
+    more, misread = _misread(view, legs)
     return misread if more > gain else found
 
 
-def _chains(view: LogView) -> np.ndarray | None:
-    """Joints (L, C) of each leg; None where feet are not known by them, or legs differ."""
-    chains = () if view.robot is None or view.log.has("foot") else view.robot.limbs.chains
-    return np.array(chains) if len({len(chain) for chain in chains}) == 1 else None
-
-
-def _swapped(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
+def _swapped(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     """Find swapped legs, by joints, contacts or both, or inverted contacts.
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    names, chains, base = view.log.legs, _chains(view), motion.misfit(legs)
+    names, chains, base = view.log.legs, view.chains, misfits(legs)[0]
     every = range(len(names))
     left, order, swapped = base, list(every), ()
     # First those that exchange fewer legs.
     orders = sorted(permutations(every), key=lambda one: sum(i != j for i, j in enumerate(one)))
     for one in map(list, orders[1:]):
-        contacts = replace(legs, contact=legs.contact[:, one])
-        ways = {("contact_",): contacts}
+        contact = legs.contact[:, one]
+        ways = {("contact_",): replace(legs, contact=contact)}
         if chains is not None:
-            joints = _read_otherwise(view, legs, chains, chains[one])
-            both = replace(joints, contact=contacts.contact)
-            ways |= {("q_",): joints, ("q_", "contact_"): both}
+            joints = _read_otherwise(view, legs, chains[one])
+            ways |= {("q_",): joints, ("q_", "contact_"): replace(joints, contact=contact)}
         for kinds, moved in ways.items():
-            if (misfit := motion.misfit(moved)) < CLEARER * left:
+            if (misfit := misfits(moved)[0]) < CLEARER * left:
                 left, order, swapped = misfit, one, kinds
     # In a trot, the other diagonal stands while this one is lifted, so both may fit.
-    inverted = motion.misfit(replace(legs, contact=~legs.contact))
+    inverted = misfits(replace(legs, contact=~legs.contact))[0]
     likelier = 3.0 if legs.contact.mean() < DUTY else 1.0 / 3.0
-    if motion.truth is not None and inverted < min(MENDED * base, likelier * left):
+    if legs.has_truth and inverted < min(MENDED * base, likelier * left):
         columns, gain = view.columns("contact"), base / inverted
         return gain, [Finding(columns, _less(gain), "inverted: 1 means lifted")]
     if left > MENDED * base:
@@ -287,7 +238,6 @@ def _exchanged_contacts(view: LogView, wrong: Sequence[tuple[str, str]]) -> Chan
 def _read_otherwise(
     view: LogView,
     legs: Stance,
-    chains: np.ndarray,
     others: np.ndarray,
     sign: np.ndarray | float = 1.0,
     offset: np.ndarray | float = 0.0,
@@ -297,58 +247,49 @@ def _read_otherwise(
     Args:
         view: of the log.
         legs: their times.
-        chains: joints of each leg (L, C).
-        others: those whose angles are taken for theirs (L, C).
+        others: joints whose angles are taken for those of each leg (L, C).
         sign: of these (C,).
         offset: (C,) [rad] added to them.
     """
     robot, q = view.robot, view.log.q
     assert robot is not None
-
-    def feet(rows: np.ndarray) -> np.ndarray:
-        read = q[rows]
-        read[:, chains] = q[rows][:, others] * sign + offset
-        return robot.feet_I(read)
-
-    return legs.with_feet(feet)
+    return legs.with_feet(lambda rows: robot.feet_I(exchanged(view, q[rows], others, sign, offset)))
 
 
-def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float, list[Finding]]:
+def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     """Find joints that are swapped within a leg, or have the opposite sign.
 
     Also returns the reduction of the squared misfit when corrected.
     """
-    chains = _chains(view)
-    if chains is None or motion.truth is None or chains.shape[1] > 3:
+    robot, chains = view.robot, view.chains
+    if robot is None or chains is None or not legs.has_truth or chains.shape[1] > 3:
         return 1.0, []
-    in_order, base = np.arange(chains.shape[1]), motion.misfits(legs)
+    in_order, base = np.arange(chains.shape[1]), misfits(legs)[1:]
     # Legs that fit have their joints in order, but a hip about 0 rad may have another sign.
     orders = permutations(in_order) if (base > MISFIT).any() else [in_order]
     signs = product((1.0, -1.0), repeat=len(in_order))
     ways = [(np.array(order), np.array(sign)) for order, sign in product(orders, signs)]
-    misfits, leans = np.empty((2, len(ways), len(chains)))
+    left, leans = np.empty((2, len(ways), len(chains)))
     for way, (order, sign) in enumerate(ways):
-        other = _read_otherwise(view, legs, chains, chains[:, order], sign)
-        misfits[way] = motion.misfits(other)
-        leans[way] = leaning(view, legs, chains, chains[:, order], sign)
-    best, left = misfits.argmin(axis=0), misfits.min(axis=0)
+        left[way] = misfits(_read_otherwise(view, legs, chains[:, order], sign))[1:]
+        leans[way] = leaning(view, legs, chains[:, order], sign)
+    best, left = left.argmin(axis=0), left.min(axis=0)
     good = base[base < FAIR]
     as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
     upright = (leans[0] > LEANS) & (leans[best, np.arange(len(best))] < 0.5 * leans[0])
     most = np.where(upright, CLEARER, MENDED_JOINTS) * base
     mends = (best > 0) & (left < np.minimum(most, as_good))
     findings = []
-    for way in dict.fromkeys(best[mends].tolist()):
-        which, (order, sign) = mends & (best == way), ways[way]
-        joints = np.array(view.log.joints)[chains[which]]
+    for leg in np.flatnonzero(mends):
+        order, sign = ways[best[leg]]
         swapped, flipped = order != in_order, sign < 0
-        columns = tuple(f"q_{joint}" for joint in joints[:, swapped | flipped].flat)
-        pairs = zip(joints[0, swapped], joints[0, order[swapped]], strict=True)
-        words = ", ".join(f"{joint} is {other}" for joint, other in pairs)
+        columns = view.columns("q", chains[leg][swapped | flipped])
+        kinds = [robot.limbs.kind(j) for j in chains[leg]]
+        words = ", ".join(f"{kinds[i]} is {kinds[order[i]]}" for i in np.flatnonzero(swapped))
         causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
-        negative = dict.fromkeys(joints[:, flipped].flat, -1.0)
-        seen = _less(float(np.median(base[which] / left[which])))
+        negative = {view.log.joints[j]: -1.0 for j in chains[leg][flipped]}
         changes = {"robot": {"joint_sign": negative}} if negative else {}
+        seen = _less(base[leg] / left[leg])
         findings.append(Finding(columns, seen, " and ".join(causes), changes))
     mended = np.nansum(np.where(mends, left, base))
     return float(np.nansum(base) / max(mended, 1e-12)), findings
@@ -356,27 +297,25 @@ def _misread(view: LogView, legs: Stance, motion: ComparedMotion) -> tuple[float
 
 def opposite_angles(view: LogView) -> set[str]:
     """Columns of angles that put standing feet right with the opposite sign."""
-    legs = view.stance
-    found = [] if legs is None else _misread(view, *_few(legs, _motion(view, legs)))[1]
+    found = [] if view.stance is None else _misread(view, _few(view.stance))[1]
     return {column for one in found if one.cause == "wrong sign" for column in one.streams}
 
 
-def _few(legs: Stance, motion: ComparedMotion) -> tuple[Stance, ComparedMotion]:
-    """Feet and motion at some of the times at which the body turns most, where legs differ; at
-    these, alternatives are tried.
+def _few(legs: Stance) -> Stance:
+    """Feet at some of the times at which the body turns most, where legs differ; at these,
+    alternatives are tried.
     """
-    rate = np.linalg.norm(motion.gyro, axis=1)
-    used = np.flatnonzero(motion.used & (rate > np.quantile(rate, _TURNING)))
-    some = used[np.linspace(0, len(used) - 1, min(len(used), _TRIED)).astype(int)]
-    return legs.at(some), motion.rows(some)
+    rate = np.linalg.norm(legs.gyro, axis=1)
+    used = np.flatnonzero(legs.used & (rate > np.quantile(rate, _TURNING)))
+    return legs.at(used[np.linspace(0, len(used) - 1, min(len(used), _TRIED)).astype(int)])
 
 
-def _of_another_robot(legs: Stance, motion: ComparedMotion) -> list[Finding]:
+def _of_another_robot(legs: Stance) -> list[Finding]:
     """Find legs of another length, or that have nothing to do with the body's motion."""
-    truth, u, misfit = motion.truth, legs.body_velocity(motion.gyro), motion.misfit(legs)
-    assert truth is not None
-    on = legs.contact & (motion.used & (np.linalg.norm(truth, axis=1) > _MOVES))[:, None]
-    by_legs, by_body = u[on][:, :2], np.broadcast_to(truth[:, None], u.shape)[on][:, :2]
+    moves = legs.used & (np.linalg.norm(legs.v_I, axis=1) > _MOVES)
+    on, misfit = legs.contact & moves[:, None], misfits(legs)[0]
+    by_body = np.broadcast_to(legs.v_I[:, None], legs.foot.shape)[on][:, :2]
+    by_legs = legs.by_leg[on][:, :2]
     size = np.sum(by_legs**2, axis=1)
     keep = size < np.quantile(size, 0.9)
     by_legs, by_body = by_legs[keep], by_body[keep]
@@ -395,8 +334,8 @@ def _of_another_robot(legs: Stance, motion: ComparedMotion) -> list[Finding]:
 def _climbing(view: LogView, legs: Stance) -> list[Finding]:
     """Find a reference that climbs or sinks, and its feet do not."""
     up = view.R_GI.inv().apply([0.0, 0.0, 1.0])[legs.which]
-    apart = view.v_I[legs.which][:, None] - legs.body_velocity(view.gyro[legs.which])
-    on = legs.contact & view.ok[legs.which, None]
+    apart = legs.v_I[:, None] - legs.by_leg
+    on = legs.contact & legs.used[:, None]
     climb = float(np.median(np.einsum("kli,ki->kl", apart, up)[on])) if on.sum() >= FEWEST else 0.0
     if abs(climb) <= CLIMBS:
         return []
@@ -404,34 +343,32 @@ def _climbing(view: LogView, legs: Stance) -> list[Finding]:
     return [Finding(("ref_p_z",), seen, "an estimate that drifts, or a world that is not level")]
 
 
-def _zeros(view: LogView, legs: Stance, motion: ComparedMotion) -> list[Finding]:
+def _zeros(view: LogView, legs: Stance) -> list[Finding]:
     """Find joints of most legs whose angles count from elsewhere than the model's.
 
     `joints.zeros` finds that of a single joint.
     """
-    chains = _chains(view)
+    chains = view.chains
     if chains is None:
         return []
-    base = motion.misfits(legs)
-    misfits = np.empty((chains.shape[1], len(OFFSETS), len(chains)))
-    for k, n in np.ndindex(misfits.shape[:2]):
+    base = misfits(legs)[1:]
+    every = np.empty((chains.shape[1], len(OFFSETS), len(chains)))
+    for k, n in np.ndindex(every.shape[:2]):
         offset = OFFSETS[n] * np.eye(chains.shape[1])[k]
-        other = _read_otherwise(view, legs, chains, chains, offset=offset)
-        misfits[k, n] = motion.misfits(other)
-    if not np.isfinite(misfits).all():
+        every[k, n] = misfits(_read_otherwise(view, legs, chains, offset=offset))[1:]
+    if not np.isfinite(every).all():
         return []
-    left = misfits.min(axis=1) / base  # by joint of a leg, and leg
+    left = every.min(axis=1) / base  # by joint of a leg, and leg
     mended = (left < MENDED) & (base > MISFIT)
     columns, seen = [], []
     for k in np.argsort(np.median(left, axis=1)):
         which = np.flatnonzero(mended[k])
         if 2 * len(which) > len(chains):
             columns += view.columns("q", chains[which, k])
-            added = sorted({float(OFFSETS[misfits[k, :, i].argmin()]) for i in which})
-            gain, words = 1.0 / float(np.median(left[k, which])), [f"{x:+g}" for x in added]
-            seen.append(f"{gain:.1f} times less with {' or '.join(words)} rad added")
+            added = sorted({float(OFFSETS[every[k, :, i].argmin()]) for i in which})
+            words = " or ".join(f"{x:+g}" for x in added)
+            seen.append(_less(1.0 / float(np.median(left[k, which])), f"with {words} rad added"))
     if not columns:
         return []
-    words = f"the mean square velocity of standing feet is {', '.join(seen)}"
     cause = "other zeros than the model's: measure them for joint_offset in [robot] of the map"
-    return [Finding(tuple(columns), words, cause)]
+    return [Finding(tuple(columns), ", ".join(seen), cause)]

@@ -7,10 +7,11 @@ import numpy as np
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.physics.loads import momentum_balance
-from surefoot.sim.plausibility.comparison import LIKELY, match_axes
+from surefoot.sim.plausibility.comparison import match_axes
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
+from surefoot.sim.plausibility.limits import FEWEST, LATE_STREAM, LATEST_STREAM, LIKELY
 from surefoot.sim.plausibility.stance import Stance
-from surefoot.sim.plausibility.view import FEWEST, LATE_STREAM, LATEST_STREAM, MIDDLE, LogView
+from surefoot.sim.plausibility.view import LogView
 from surefoot.sim.robot.robot import Robot
 
 SUPPORT = (0.5, 1.7)
@@ -29,21 +30,19 @@ def torque_signs(view: LogView) -> Iterator[Finding]:
     Reason: walking robots push against the ground and swing their legs; clean walks have 0.86.
     Remedy: sign of tau_<joint>, or of all.
     """
-    robot, middle = view.robot, 0.5 * (view.t[0] + view.t[-1])
-    if robot is None or any(one.startswith("tau") for one in view.log.meta.derived):
-        return
-    part = LogView(view.log.rows(np.abs(view.t - middle) < 0.5 * MIDDLE), view.machine)
-    if not part.comparable:
+    robot, part = view.robot, view.middle
+    derived = any(one.startswith("tau") for one in view.log.meta.derived)
+    if robot is None or derived or not part.comparable:
         return
     asked = momentum_balance(part.log, robot).torque
     match = match_axes(part.means(part.log.tau), part.means(asked))
     sure = ~match.exchanged & (match.best > LIKELY)
     opposite = sure & (match.sign < 0.0)
-    if opposite.any() and 2 * sure.sum() > len(sure):
-        best = f"{match.paired[opposite].max():.2f}" + " at best" * bool(opposite.sum() > 1)
-        seen = f"correlation with what motion and contacts ask for {best}"
-        columns = view.columns("tau", opposite)
-        yield Finding(columns, seen, "wrong sign", entries(columns, sign=-1.0))
+    if 2 * sure.sum() > len(sure):
+        for j in np.flatnonzero(opposite):
+            seen = f"correlation with what motion and contacts ask for {match.paired[j]:.2f}"
+            column = view.columns("tau", [j])
+            yield Finding(column, seen, "wrong sign", entries(column, sign=-1.0))
 
 
 @plausibility_rule("support", "q contact tau accel", beside="foot")
@@ -98,31 +97,26 @@ def _loads(view: LogView) -> tuple[np.ndarray, np.ndarray]:
     """
     if view.stance is None or view.robot is None:
         return np.zeros((0, 1)), np.zeros((0, 1), dtype=bool)
-    at = view.at[np.abs(view.at - 0.5 * (view.t[0] + view.t[-1])) < 0.5 * MIDDLE]
-    rows = np.clip(np.searchsorted(view.t, at), 0, len(view.t) - 1)
-    pushed = _pushes(view.robot, view.log.q[rows], view.log.tau[rows])
-    return pushed @ view.robot.R_BI[2], view.log.contact[rows]
+    part, log = view.middle, view.middle.log
+    rows = np.clip(np.searchsorted(part.t, part.at), 0, len(part.t) - 1)
+    pushed = _pushes(view.robot, log.q[rows], log.tau[rows])
+    return pushed @ view.robot.R_BI[2], log.contact[rows]
 
 
-def leaning(
-    view: LogView, legs: Stance, chains: np.ndarray, others: np.ndarray, sign: np.ndarray
-) -> np.ndarray:
+def leaning(view: LogView, legs: Stance, others: np.ndarray, sign: np.ndarray) -> np.ndarray:
     """Sideways part (L,) of the load that torques mean on each leg, relative to the upward one,
     where up is the specific force; 0 where it is not known.
 
     Args:
         view: of the log.
         legs: their times.
-        chains: joints of each leg (L, C).
-        others: those whose angles and torques are taken for theirs (L, C).
+        others: joints whose angles and torques are taken for those of each leg (L, C).
         sign: of these (C,).
     """
-    log, robot, rows = view.log, view.robot, legs.rows[1]
+    log, robot, rows = view.log, view.robot, legs.rows[:, 1]
     if robot is None or not log.has("tau"):
-        return np.zeros(len(chains))
-    q, tau = log.q[rows], log.tau[rows]
-    for read, logged in ((q, log.q), (tau, log.tau)):
-        read[:, chains] = logged[rows][:, others] * sign
+        return np.zeros(len(others))
+    q, tau = (exchanged(view, x[rows], others, sign) for x in (log.q, log.tau))
     pushed = _pushes(robot, q, tau)
     up = view.accel[legs.which]
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
@@ -130,6 +124,21 @@ def leaning(
     aside = pushed @ robot.R_BI[1] - upward * (up @ robot.R_BI[1])[:, None]
     in_all = [np.abs(np.sum(x * legs.contact, axis=0)) for x in (aside, upward)]
     return in_all[0] / np.maximum(in_all[1], 1e-9)
+
+
+def exchanged(
+    view: LogView,
+    x: np.ndarray,
+    others: np.ndarray,
+    sign: np.ndarray | float,
+    offset: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """Angles or torques x (K, J) of which those of other joints (L, C), times a sign (C,) and with
+    an offset (C,) added, are taken for each leg's.
+    """
+    read = x.copy()
+    read[:, view.chains] = x[:, others] * sign + offset
+    return read
 
 
 def _pushes(robot: Robot, q: np.ndarray, tau: np.ndarray) -> np.ndarray:

@@ -4,9 +4,14 @@ A rule is checked only where no earlier rule doubts what it compares. One fault 
 finding, and a second fault of a log may show only when the first is corrected. Rules that compare
 fewer columns come before those that compare more, since fewer may be at fault, and rules that find
 a symptom of several causes last. Notes put nothing in doubt.
+
+Rules may find columns one by one: those of one cause are one finding.
 """
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import reduce
+from typing import Any
 
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility import (
@@ -60,10 +65,35 @@ def check_log(log: Log, machine: Machine | None = None) -> tuple[Finding, ...]:
         if not _applies(rule, view, doubted):
             continue
         new = [one for one in rule.find(view) if not doubted.issuperset(one.streams)]
-        found += (replace(one, rule=rule.name) for one in new)
+        found += (replace(one, rule=rule.name) for one in _together(new))
         if not rule.is_note:
             doubted.update(*(one.streams for one in new))
     return tuple(found)
+
+
+def _together(found: Iterable[Finding]) -> Iterator[Finding]:
+    """One finding for all that have the same cause, with the evidence of the first."""
+    by_cause: dict[str, list[Finding]] = {}
+    for one in found:
+        by_cause.setdefault(one.cause, []).append(one)
+    for same in by_cause.values():
+        first, streams = same[0], dict.fromkeys(name for one in same for name in one.streams)
+        alike = all(one.evidence == first.evidence for one in same)
+        evidence = first.evidence if alike else f"{first.streams[0]}: {first.evidence}"
+        changes = reduce(_united, (one.changes for one in same))
+        yield replace(first, streams=tuple(streams), evidence=evidence, changes=changes)
+
+
+def _united(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Two tables as one, with the tables and lists that both have."""
+    united = dict(a)
+    for key, value in b.items():
+        if key in a and isinstance(value, Mapping):
+            value = _united(a[key], value)
+        elif key in a and isinstance(value, tuple):
+            value = (*a[key], *value)
+        united[key] = value
+    return united
 
 
 def _applies(rule: Rule, view: LogView, doubted: set[str]) -> bool:
@@ -72,7 +102,7 @@ def _applies(rule: Rule, view: LogView, doubted: set[str]) -> bool:
     if any(column == one or column.startswith(f"{one}_") for column in doubted for one in compared):
         return False
     has_all = all(one == "t" or view.log.has(_GROUPS.get(one, one)) for one in rule.needs)
-    return has_all and (rule.when is None or getattr(view, rule.when))
+    return has_all and all(getattr(view, one) for one in rule.when)
 
 
 def rules_table() -> list[dict[str, str]]:

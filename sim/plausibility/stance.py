@@ -21,15 +21,18 @@ _WINDOW = 0.03
 
 @dataclass(frozen=True)
 class Stance:
-    """Feet of L legs at K times of a log.
+    """Feet of L legs, and motion of the body, at K times of a log.
 
     Attributes:
         which: indices into the view's times (K,).
-        rows: rows of the log before, at and after each time (3, K).
+        rows: rows of the log before, at and after each time (K, 3).
         span: time between the first and the last of these (K,) [s].
         contact: at all three rows (K, L), bool.
         foot: positions (K, L, 3) [m] in I.
         rate: velocities (K, L, 3) [m/s] in I.
+        gyro: (K, 3) [rad/s], 0 without an IMU.
+        v_I: velocity of the body (K, 3) [m/s] in I by the reference; NaN where it is not trusted.
+        used: mask (K,) of the times at which the reference, if there is one, was measured.
     """
 
     which: np.ndarray
@@ -38,29 +41,29 @@ class Stance:
     contact: np.ndarray
     foot: np.ndarray
     rate: np.ndarray
+    gyro: np.ndarray
+    v_I: np.ndarray
+    used: np.ndarray
 
-    def body_velocity(self, gyro: np.ndarray) -> np.ndarray:
-        """Velocity (K, L, 3) [m/s] of the body in I by each leg if its foot stands, with gyro (K,
-        3) [rad/s].
-        """
-        return -(self.rate + np.cross(gyro[:, None], self.foot))
+    @property
+    def has_truth(self) -> bool:
+        """Whether the body's velocity is known by a trusted reference."""
+        return not np.isnan(self.v_I).any()
+
+    @property
+    def by_leg(self) -> np.ndarray:
+        """Velocity (K, L, 3) [m/s] of the body in I by each leg if its foot stands."""
+        return -(self.rate + np.cross(self.gyro[:, None], self.foot))
 
     def at(self, some: np.ndarray) -> "Stance":
         """Select some of the K times."""
-        return Stance(
-            self.which[some], self.rows[:, some], self.span[some], self.contact[some],
-            self.foot[some], self.rate[some],
-        )  # fmt: skip
-
-    def of_legs(self, some: slice) -> "Stance":
-        """Select some of the L legs."""
-        contact, foot, rate = (x[:, some] for x in (self.contact, self.foot, self.rate))
-        return replace(self, contact=contact, foot=foot, rate=rate)
+        return Stance(**{name: x[some] for name, x in vars(self).items()})
 
     def with_feet(self, feet: Feet) -> "Stance":
         """The same times with other positions of the feet."""
-        rate = (feet(self.rows[2]) - feet(self.rows[0])) / self.span[:, None, None]
-        return replace(self, foot=feet(self.rows[1]), rate=rate)
+        before, at, after = self.rows.T
+        rate = (feet(after) - feet(before)) / self.span[:, None, None]
+        return replace(self, foot=feet(at), rate=rate)
 
     def turning_fits(self, gyro: np.ndarray) -> float:
         """Correlation of the rotation of lines between standing feet with that of a gyro (K, 3)."""
@@ -79,17 +82,19 @@ class Stance:
         return float(np.sum(a * b) / np.sqrt(max(np.sum(a**2) * np.sum(b**2), 1e-18)))
 
 
-def stance_of(log: Log, robot: Robot | None, at: np.ndarray) -> Stance | None:
-    """The feet of a log about the times `at` (M,) [s]; None where they are unknown."""
-    feet = feet_at(log, robot)
-    if feet is None:
-        return None
+def stance_of(
+    log: Log, feet: Feet, at: np.ndarray, gyro: np.ndarray, v_I: np.ndarray, used: np.ndarray
+) -> Stance:
+    """Feet and body about MOST_TIMES of the times `at` (M,) [s]; gyro (M, 3), v_I (M, 3) and used
+    (M,) as of `Stance`.
+    """
     which = np.unique(np.linspace(0, len(at) - 1, min(len(at), MOST_TIMES)).astype(int))
-    t, window = log.t, _WINDOW * np.array([[-0.5], [0.0], [0.5]])
-    rows = np.clip(np.searchsorted(t, at[which] + window), 0, len(t) - 1)
-    which, rows = which[rows[2] > rows[0]], rows[:, rows[2] > rows[0]]
-    contact, unknown = np.all(log.contact[rows], axis=0), np.zeros(0)
-    return Stance(which, rows, t[rows[2]] - t[rows[0]], contact, unknown, unknown).with_feet(feet)
+    t, window = log.t, _WINDOW * np.array([-0.5, 0.0, 0.5])
+    rows = np.clip(np.searchsorted(t, at[which, None] + window), 0, len(t) - 1)
+    which, rows = which[rows[:, 2] > rows[:, 0]], rows[rows[:, 2] > rows[:, 0]]
+    span, contact, unknown = np.ptp(t[rows], axis=1), np.all(log.contact[rows], axis=1), t[:0]
+    body = gyro[which], v_I[which], used[which]
+    return Stance(which, rows, span, contact, unknown, unknown, *body).with_feet(feet)
 
 
 def feet_at(log: Log, robot: Robot | None) -> Feet | None:

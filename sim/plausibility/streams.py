@@ -2,7 +2,6 @@
 to zero, copied or derived from another column.
 """
 
-from collections import defaultdict
 from collections.abc import Iterator
 from itertools import combinations, product
 
@@ -10,13 +9,14 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from surefoot.sim.importing.advice import entries
-from surefoot.sim.importing.clock import column_kind
+from surefoot.sim.importing.clock import Columns, column_kind
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log.derived import JOINT_WINDOW, REFERENCE_WINDOW, derivative
-from surefoot.sim.plausibility.comparison import LATE, MENDED, REF_V, delay_between
+from surefoot.sim.plausibility.comparison import delay_between
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.view import RESTS, LogView
+from surefoot.sim.plausibility.limits import LATE, MENDED, RESTS
+from surefoot.sim.plausibility.view import REF_V, LogView
 from surefoot.sim.sensors.stances import changes
 
 NOISE = {"gyro": 0.2, "accel": 2.0, "q": 0.03, "dq": 1.5, "ref_p": 0.01, "foot": 0.005}
@@ -102,70 +102,52 @@ def frozen(view: LogView) -> Iterator[Finding]:
     Reason: half a swing; every sensor has noise.
     Remedy: leave the column out, or cut the log there.
     """
-    hanging: dict[str, list[str]] = defaultdict(list)
     kinds = _kinds(view, _SENSORS)
     for kind, columns in kinds.items():
         least = max(LIMITED if kind == "tau" else FROZEN, _FEWEST_ALIKE * view.step)
         for name, x in columns.items():
             sections = still_sections(view.t, x, least)
-            if sections and (hangs := _hanging(view, kinds, kind, name, sections)):
+            if not sections:
+                continue
+            joint = _of_joint(view, kind, name)
+            if kind in ("q", "dq") and _comparable(view, joint):
+                hangs = [rows for rows in sections if _contradict(view.t, joint, rows, kind)]
+            elif kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, joint)):
+                hangs = []  # the joints of an arm rest one by one
+            else:
+                hangs = [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
+            if hangs:
                 t = view.t[hangs[0]]
-                seen = f"no change from {t[0]:.2f} to {t[-1]:.2f} s"
-                hanging["one value in every row" if len(t) == len(x) else seen].append(name)
-    for seen, names in hanging.items():
-        yield Finding(tuple(names), f"{seen} while others move", "a sensor that hangs")
+                when = f"from {t[0]:.2f} to {t[-1]:.2f} s" if len(t) < len(x) else "throughout"
+                seen = "no change while others move"
+                yield Finding((name,), seen, f"a sensor that hangs {when}")
 
 
-def _hanging(
-    view: LogView,
-    kinds: dict[str, dict[str, np.ndarray]],
-    kind: str,
-    name: str,
-    sections: list[slice],
-) -> list[slice]:
-    """Sections in which a column is constant although what goes with it moves.
-
-    Args:
-        view: of the log.
-        kinds: columns (N,) by kind and name.
-        kind: of the column.
-        name: of the column.
-        sections: rows in which it is constant.
-    """
-    q, dq = _of_joint(view, kind, name)
-    if kind in ("q", "dq") and q is not None and dq is not None and _comparable(view, q, dq):
-        return [rows for rows in sections if _contradict(view.t, q, dq, rows, kind == "q")]
-    # The joints of an arm rest one by one.
-    if kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, q, dq)):
-        return []
-    return [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
+def _of_joint(view: LogView, kind: str, name: str) -> Columns:
+    """Angle "q" and rate "dq" (N,) of the joint of a column, those that the log has."""
+    joint, columns = name.removeprefix(f"{kind}_"), view.log.columns
+    return {one: columns[f"{one}_{joint}"] for one in ("q", "dq") if f"{one}_{joint}" in columns}
 
 
-def _of_joint(view: LogView, kind: str, name: str) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Angle and rate (N,) of the joint of a column; None for what the log lacks."""
-    joint, frame = name.removeprefix(f"{kind}_"), view.log.frame
-    q, dq = (frame[c].to_numpy() if c in frame else None for c in (f"q_{joint}", f"dq_{joint}"))
-    return q, dq
-
-
-def _comparable(view: LogView, q: np.ndarray, dq: np.ndarray) -> bool:
+def _comparable(view: LogView, joint: Columns) -> bool:
     """Whether a joint's angle and rate (N,) are measured, and in the same unit."""
     derived = any(d.startswith("dq") for d in view.log.meta.derived)
-    if derived or not view.comparable or np.ptp(q) > _WHOLE_TURN:
+    if derived or len(joint) < 2 or not view.comparable or np.ptp(joint["q"]) > _WHOLE_TURN:
         return False
-    rate, change = view.means(dq[:, None]).std(), view.changes(q[:, None]).std()
+    rate = view.means(joint["dq"][:, None]).std()
+    change = view.changes(joint["q"][:, None]).std()
     return bool(change < _OTHER_UNIT * rate < _OTHER_UNIT**2 * change)
 
 
-def _contradict(t: np.ndarray, q: np.ndarray, dq: np.ndarray, rows: slice, angle: bool) -> bool:
-    """Whether a joint's angle q and rate dq (N,) at t [s] contradict each other in rows in which
-    the angle, or else the rate, is constant: the rate shows motion while the angle is constant, or
-    the angle moves at a rate different from the constant one.
+def _contradict(t: np.ndarray, joint: Columns, rows: slice, kind: str) -> bool:
+    """Whether a joint's angle and rate (N,) at t [s] contradict each other in rows in which that of
+    a kind is constant: the rate shows motion while the angle is constant, or the angle moves at a
+    rate different from the constant one.
     """
-    t = t[rows] - t[rows][0]
-    steps = np.abs(np.diff(q if angle else dq))
+    t, q, dq = t[rows] - t[rows][0], joint["q"], joint["dq"]
+    steps = np.abs(np.diff(joint[kind]))
     count = float(steps[steps > 0.0].min(initial=np.inf))
-    if not angle:
+    if kind == "dq":
         strays = float(np.ptp(_median5(q)[rows] - dq[rows][0] * t))
         return strays > max(RESTS, 3.0 * count * t[-1])
     # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
@@ -175,19 +157,19 @@ def _contradict(t: np.ndarray, q: np.ndarray, dq: np.ndarray, rows: slice, angle
     return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
 
 
-def _rests(t: np.ndarray, q: np.ndarray | None, dq: np.ndarray | None) -> bool:
+def _rests(t: np.ndarray, joint: Columns) -> bool:
     """Whether a joint rests throughout, by angle and rate (N,) at t [s].
 
     An angle that never changes and has no rate beside it may also be a dead sensor.
     """
-    turned = [] if q is None else [float(np.ptp(q))]
-    if dq is not None:
+    turned = [np.ptp(joint["q"])] if "q" in joint else []
+    if "dq" in joint:
         # Without its mean, since rates of a joint at rest may have an offset.
-        turned.append(float(np.ptp(np.cumsum((dq - dq.mean()) * np.gradient(t)))))
+        turned.append(np.ptp(np.cumsum((joint["dq"] - joint["dq"].mean()) * np.gradient(t))))
     return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
-def _others_move(kinds: dict[str, dict[str, np.ndarray]], name: str, rows: slice) -> bool:
+def _others_move(kinds: dict[str, Columns], name: str, rows: slice) -> bool:
     """Whether streams that go with a column move in some rows: others of its kind, else gyro,
     angles and positions; `kinds` are columns (N,) by kind and name.
     """
@@ -221,19 +203,12 @@ def held(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: rates from differences are wrong, noise is less than it
         seems.
     """
-    rate, slow, kinds = view.log.rate, {}, []
+    rate, cause = view.log.rate, "a slower sensor, read more often than it measures"
     for kind, columns in held_streams(view.log).items():
-        usual = float(np.round(np.median([*columns.values()])))
+        usual = float(np.median([*columns.values()]))
         if usual < SLOWER * rate and not next(iter(columns)).startswith(_COMMANDS):
-            slow |= dict.fromkeys(columns, usual)
-            kinds.append(kind)
-    if slow:
-        columns = tuple(c for c in map(str, view.log.frame) if c in slow)
-        limits = (pick(slow.values()) for pick in (min, max))
-        rates = " to ".join(dict.fromkeys(f"{x:.0f}" for x in limits))
-        seen = f"{len(columns)} columns sampled at {rates} Hz and repeated, rows at {rate:.0f} Hz"
-        cause = "a slower sensor, read more often than it measures"
-        yield Finding(columns, seen, cause, {"even": {"held": tuple(kinds)}})
+            seen = f"sampled at {usual:.0f} Hz and repeated, rows at {rate:.0f} Hz"
+            yield Finding(tuple(columns), seen, cause, {"even": {"held": (kind,)}})
 
 
 @plausibility_rule("interpolated", beside="t", is_note=True)
@@ -247,15 +222,14 @@ def interpolated(view: LogView) -> Iterator[Finding]:
     """
     known = " ".join(view.log.meta.derived)
     for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "foot", "ref_p")).items():
-        share = {name: _straight(x) for name, x in columns.items()}
-        found = [name for name in columns if share[name] > STRAIGHT]
-        if not found or f"{kind} (between held readings)" in known:
+        if f"{kind} (between held readings)" in known:
             continue
-        rate = view.log.rate * (1.0 - float(np.median([share[name] for name in found])))
-        if kind != "ref_p" or rate < SLOWEST_REFERENCE:
-            seen = f"on straight lines between readings at {rate:.0f} Hz"
-            cause = "a slower sensor, interpolated: its noise is not that"
-            yield Finding(tuple(found), seen, cause)
+        for name, x in columns.items():
+            share = _straight(x)
+            rate = view.log.rate * (1.0 - share)
+            if share > STRAIGHT and (kind != "ref_p" or rate < SLOWEST_REFERENCE):
+                seen = f"on straight lines between readings at {rate:.0f} Hz"
+                yield Finding((name,), seen, "a slower sensor, interpolated: its noise is not that")
 
 
 @plausibility_rule("late", beside="t ref")
@@ -267,47 +241,42 @@ def lagging(view: LogView) -> Iterator[Finding]:
     Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
-    log, t = view.log, view.t
+    log, t, cause = view.log, view.t, "a filter, or stamps of another clock"
     if log.has("q") and log.has("dq"):
         moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
         usual = delay_between(t, log.dq, moved, LATEST_RATE)
-        yield from _late(view, view.columns("dq"), log.dq, moved, usual)
+        if seen := _delay_seen(view, usual, log.dq, moved, LATE_RATE):
+            mended = {"even": {"late": {"dq": round(usual, 4)}}}
+            yield Finding(view.columns("dq"), f"{seen} q", cause, mended)
         for j, column in enumerate(view.columns("dq")) if view.resolves else ():
             rate, change = log.dq[:, [j]], moved[:, [j]]
             delay = delay_between(t, rate, change, LATEST_RATE)
-            if abs(delay - usual) > LATE_RATE:
-                yield from _late(view, (column,), rate, change, delay)
+            seen = _delay_seen(view, delay, rate, change, LATE_RATE)
+            if seen and abs(delay - usual) > LATE_RATE:
+                mended = {"even": {"late": {column: round(delay, 4)}}}
+                yield Finding((column,), f"{seen} {column[1:]}", cause, mended)
     if log.has("ref_v"):
         moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
         delay = delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
-        yield from _late(view, REF_V, log.ref_v, moved, delay)
+        # A reference has a clock of its own, so that the map cannot move its velocity alone.
+        if seen := _delay_seen(view, delay, log.ref_v, moved, LATE):
+            yield Finding(REF_V, f"{seen} ref_p", cause)
 
 
-def _late(
-    view: LogView, columns: tuple[str, ...], x: np.ndarray, witness: np.ndarray, delay: float
-) -> Iterator[Finding]:
-    """Check whether a delay explains how columns differ from what they should read.
-
-    Args:
-        view: of the log.
-        columns: their names.
-        x: their readings (N, D).
-        witness: what these should be (N, D).
-        delay: of the readings [s].
+def _delay_seen(
+    view: LogView, delay: float, x: np.ndarray, witness: np.ndarray, least: float
+) -> str:
+    """The delay [s] of readings x (N, D) in words, "" where it is smaller than `least` or does not
+    explain how they differ from what they should be, the witness (N, D).
     """
-    rates, one = columns[0].startswith("dq"), len(columns) < len(view.log.joints)
     shifted = np.column_stack([np.interp(view.t + delay, view.t, y) for y in x.T])
     explained = np.sum((shifted - witness) ** 2) < MENDED * np.sum((x - witness) ** 2)
-    if explained and abs(delay) >= view.least_lag(LATE_RATE if rates else LATE):
-        of = "ref_p" if not rates else columns[0][1:] if len(columns) == 1 else "q"
-        seen = f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'}"
-        # A reference has a clock of its own.
-        lags = {columns[0] if one else "dq": round(delay, 4)}
-        cause, mended = "a filter, or stamps of another clock", {"even": {"late": lags}}
-        yield Finding(columns, f"{seen} against the change of {of}", cause, mended if rates else {})
+    if not explained or abs(delay) < view.least_lag(least):
+        return ""
+    return f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'} against the change of"
 
 
-@plausibility_rule("noise", beside="t gyro accel dq", when="comparable")
+@plausibility_rule("noise", beside="t gyro accel dq", when="comparable resolves")
 def noisy(view: LogView) -> Iterator[Finding]:
     """Check the noise of gyro, accelerometer and joint rates.
 
@@ -320,22 +289,21 @@ def noisy(view: LogView) -> Iterator[Finding]:
     Remedy: leave the log or the column out; of rates, or filter them: surefoot derives them from
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
     """
-    log = view.log
-    for kind, group in (("gyro", "imu"), ("accel", "imu"), ("dq", "dq")):
-        if not (log.has(group) and view.resolves):
-            continue
-        x = getattr(log, kind)
-        # Third differences of white noise have 20 times its variance; the median ignores impacts.
-        rough = np.median(np.abs(np.diff(x, n=3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
-        if kind == "dq":
-            rough[np.isinf(view.between_samples(x, log.q if log.has("q") else None))] = 0.0
-        over = np.flatnonzero(rough > NOISE[kind])
-        if over.size:
-            seen = f"{rough[over].max():.2f} {next(iter(UNITS[kind]))} from row to row"
-            cause = (
-                "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-            )
-            yield Finding(view.columns(kind, over), seen, cause)
+    cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
+    for kind, columns in _kinds(view, ("gyro", "accel", "dq")).items():
+        for name, x in columns.items():
+            # Third differences of white noise have 20 times its variance; the median ignores
+            # impacts.
+            rough = np.median(np.abs(np.diff(x, n=3))) / 0.6745 / np.sqrt(20.0)
+            if rough > NOISE[kind] and (kind != "dq" or _resolved(view, name)):
+                unit = next(iter(UNITS[kind]))
+                yield Finding((name,), f"{rough:.2f} {unit} from row to row", cause)
+
+
+def _resolved(view: LogView, name: str) -> bool:
+    """Whether the rows are dense enough to show how a joint's rate changes."""
+    joint = {kind: x[:, None] for kind, x in _of_joint(view, "dq", name).items()}
+    return bool(np.isfinite(view.between_samples(joint["dq"], joint.get("q")))[0])
 
 
 @plausibility_rule("coarse", beside="gyro accel q", is_note=True)
@@ -349,12 +317,11 @@ def coarse(view: LogView) -> Iterator[Finding]:
     Remedy: record more digits.
     """
     for kind, columns in _kinds(view, ("gyro", "accel", "q")).items():
-        least = {n: float(np.diff(np.unique(x)).min(initial=np.inf)) for n, x in columns.items()}
-        found = {name: x for name, x in least.items() if COARSE * NOISE[kind] < x < np.inf}
-        if found:
-            seen = f"readings are {min(found.values()):.3g} apart or more"
-            cause = "rounded, or the numbers of a sensor not converted"
-            yield Finding(tuple(found), seen, cause)
+        for name, x in columns.items():
+            least = float(np.diff(np.unique(x)).min(initial=np.inf))
+            if COARSE * NOISE[kind] < least < np.inf:
+                seen = f"readings are {least:.3g} apart or more"
+                yield Finding((name,), seen, "rounded, or the numbers of a sensor not converted")
 
 
 @plausibility_rule("overflow")
@@ -422,8 +389,6 @@ def spikes(view: LogView) -> Iterator[Finding]:
     for kind, columns in _kinds(view, (*NOISE, "tau")).items():
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
-        dropped: dict[str, int] = {}
-        leaping: dict[str, tuple[float, int]] = {}
         for name, x in columns.items():
             if len(x) < 50 or not np.ptp(x):
                 continue
@@ -431,16 +396,12 @@ def spikes(view: LogView) -> Iterator[Finding]:
             zeros = _drop_outs(x, most=2 if kind in ("dq", "tau") else None)
             rows, off = _leaps(view, kind, name, x)
             if zeros >= DROPS:
-                dropped[name] = zeros
+                seen = f"{zeros} rows read exactly 0 between rows that do not"
+                yield Finding((name,), seen, "drop-outs filled with zeros")
             elif rows.size:
-                leaping[name] = float(off.max()), int(rows[0])
-        if dropped:
-            seen = f"{max(dropped.values())} rows read exactly 0 between rows that do not"
-            yield Finding(tuple(dropped), seen, "drop-outs filled with zeros")
-        if leaping:
-            most, first = max(leaping.values())[0], min(row for _, row in leaping.values())
-            seen = f"leaps by up to {most:.3g} and back, first at {view.t[first]:.2f} s"
-            yield Finding(tuple(leaping), seen, "readings corrupted in transmission")
+                first = view.t[rows[0]]
+                seen = f"leaps by up to {off.max():.3g} and back, first at {first:.2f} s"
+                yield Finding((name,), seen, "readings corrupted in transmission")
 
 
 def _leaps(view: LogView, kind: str, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -455,11 +416,11 @@ def _leaps(view: LogView, kind: str, name: str, x: np.ndarray) -> tuple[np.ndarr
         least = min(least, LONE * float(x.std()))
     usual = float(np.quantile(off, 1.0 - max(0.01, SEVERAL / len(x))))
     rows = np.flatnonzero(off > max(least, SPIKE * usual))
-    q, dq = _of_joint(view, kind, name)
-    if kind == "dq" and q is not None and dq is not None:
-        change = np.diff(q) / np.diff(view.t)
+    joint = _of_joint(view, kind, name)
+    if kind == "dq" and "q" in joint:
+        change = np.diff(joint["q"]) / np.diff(view.t)
         beside = change[np.clip([rows - 1, rows], 0, len(change) - 1)]
-        rows = rows[np.abs(beside - dq[rows]).min(axis=0) >= 0.25 * off[rows]]
+        rows = rows[np.abs(beside - x[rows]).min(axis=0) >= 0.25 * off[rows]]
     return rows, off[rows]
 
 
@@ -472,15 +433,15 @@ def copies(view: LogView) -> Iterator[Finding]:
     Reason: two sensors have noise of their own.
     Remedy: one of two columns of the map names the wrong one of theirs.
     """
-    for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot")).items():
-        units = {}
-        for name, x in columns.items():
-            if _varied(x):
-                units[name] = (x - x.mean()) / np.linalg.norm(x - x.mean())
+    kinds = _kinds(view, ("gyro", "accel", "q", "dq", "tau", "force", "foot"))
+    for kind, columns in kinds.items():
+        apart = {name: x - x.mean() for name, x in columns.items() if _varied(x)}
+        units = {name: x / np.linalg.norm(x) for name, x in apart.items()}
         for (a, x), (b, y) in combinations(units.items(), 2):
             if 2.0 - 2.0 * abs(x @ y) < _SAME:
-                seen = f"{b} is {a} to 1 part in 1e9 of its mean square"
-                yield Finding((a, b), seen, f"one of two {kind} columns was read twice")
+                seen = "alike to 1 part in 1e9 of the mean square"
+                cause = f"one of two {kind} columns was read twice: {b} is {a}"
+                yield Finding((a, b), seen, cause)
 
 
 @plausibility_rule("derived", when="comparable", is_note=True)
@@ -510,18 +471,18 @@ def derived(view: LogView) -> Iterator[Finding]:
             yield Finding(view.columns("tau"), seen, "commanded, not measured")
 
 
-def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, Columns]:
     """Columns (N,) of a log by kind, such as gyro, accel, q, foot, ref_p or ref_q, and name; of a
     reference that is mostly interpolated over gaps, none.
     """
-    found: dict[str, dict[str, np.ndarray]] = {}
+    found: dict[str, Columns] = {}
     gaps = view.log.has("reference") and view.log.ref_ok.mean() < 0.5
-    for name in map(str, view.log.frame):
+    for name, x in view.log.columns.items():
         if gaps and name.startswith("ref_"):
             continue
         kind = name.rsplit("_", 1)[0] if name.startswith("ref_") else column_kind(name)
         if kind in wanted:
-            found.setdefault(kind, {})[name] = view.log.frame[name].to_numpy()
+            found.setdefault(kind, {})[name] = x
     return found
 
 

@@ -10,33 +10,23 @@ from scipy.spatial.transform import Rotation
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.comparison import AxesMatch, lag_of, match_axes
-from surefoot.sim.plausibility.stance import Stance, stance_of
+from surefoot.sim.plausibility.limits import FEWEST, MIDDLE, RESTS
+from surefoot.sim.plausibility.stance import Stance, feet_at, stance_of
 from surefoot.sim.robot.machine import Machine
 from surefoot.sim.robot.robot import Robot
 
+GYRO, ACCEL, REF_P, REF_V = (
+    tuple(f"{kind}_{a}" for a in "xyz") for kind in ("gyro", "accel", "ref_p", "ref_v")
+)
+REF_Q = tuple(f"ref_q_{a}" for a in "wxyz")
 STEP = 0.02
 """Interval between the times at which streams are compared [s]: some tens per stride."""
 MEAN = 0.06
 """Averaging time of the streams [s], which suppresses impacts and the noise of derivatives."""
-LATE_STREAM, LATEST_STREAM = 0.03, 0.16
-"""Smallest delay that is reported of streams that are compared by what they do to legs [s], a tenth
-of a stance, and largest that is searched for, before the next step begins. Feet spring back before
-they lift, and foot sensors are filtered, by 0.02 on a measured Go1.
-"""
 MOST_COMPARED, COMPARED_A_ROW = 1_000_000, 5
 """Largest number of times at which streams are compared, in all and per row (a log at 10 Hz has
 five per row). A clock that was set during the log, or stamps in nanoseconds, would require more
 memory than there is.
-"""
-FEWEST = 50
-"""Least number of times at which streams are compared: a second, two strides."""
-MIDDLE = 20.0
-"""Length of the section in the middle of a log that is enough for some comparisons [s]: some tens
-of strides.
-"""
-RESTS = 0.02
-"""Least range of a joint that moves [rad]: a dozen encoder counts; a joint at rest may stay between
-two for seconds.
 """
 _STILL = 0.02
 """RMS rate below which a body is at rest [rad/s], so that only a gyro's bias and noise would be
@@ -78,18 +68,32 @@ class LogView:
         """The machine, if it is a robot with a model of its legs."""
         return None if self.machine is None else self.machine.legged
 
+    @cached_property
+    def chains(self) -> np.ndarray | None:
+        """Joints (L, C) of each leg; None where feet are not known by them, or legs differ."""
+        chains = () if self.robot is None or self.log.has("foot") else self.robot.limbs.chains
+        return np.array(chains) if len({len(chain) for chain in chains}) == 1 else None
+
     @property
     def on_fixed_base(self) -> bool:
         """Whether the machine is known and has no legs."""
         return self.machine is not None and self.machine.fixed
 
-    def columns(self, kind: str, which: np.ndarray | slice = slice(None)) -> tuple[str, ...]:
+    def columns(
+        self, kind: str, which: np.ndarray | list[int] | list[np.intp] | slice = slice(None)
+    ) -> tuple[str, ...]:
         """Columns of a kind, such as gyro, q or contact; of those parts that `which` selects, by
         their numbers or a mask.
         """
         of_legs_or_joints = self.log.legs if kind == "contact" else self.log.joints
         parts = "xyz" if kind in ("gyro", "accel") else of_legs_or_joints
         return tuple(np.array([f"{kind}_{part}" for part in parts])[which].tolist())
+
+    @cached_property
+    def middle(self) -> "LogView":
+        """The section of at most MIDDLE seconds in the middle of the log."""
+        off = np.abs(self.t - 0.5 * (self.t[0] + self.t[-1]))
+        return LogView(self.log.rows(off <= 0.5 * MIDDLE), self.machine)
 
     @cached_property
     def step(self) -> float:
@@ -247,9 +251,13 @@ class LogView:
     @cached_property
     def feet(self) -> Stance | None:
         """Motion of the feet, where feet and contacts are known, of a log of any length."""
-        if not (len(self.at) and self.resolves and self.log.has("contact")):
+        feet = feet_at(self.log, self.robot)
+        if feet is None or not (len(self.at) and self.resolves and self.log.has("contact")):
             return None
-        return stance_of(self.log, self.robot, self.at)
+        gyro = self.gyro if self.log.has("imu") else np.zeros((len(self.at), 3))
+        v_I = self.v_I if self.trusts_reference else np.full(gyro.shape, np.nan)
+        used = self.ok if self.log.has("reference") else np.ones(len(self.at), dtype=bool)
+        return stance_of(self.log, feet, self.at, gyro, v_I, used)
 
     @property
     def stance(self) -> Stance | None:

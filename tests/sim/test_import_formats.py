@@ -269,6 +269,8 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
     assert "q (between held readings)" in log.meta.derived
     assert log.contact.all()
     refused("no column of kind 'tau'", imported, run, rules + '[even]\nheld = ["tau"]\n')
+    short = csv(tmp_path, {"t": t[:50], "knee": read[:50], "flag": 1.0})
+    refused("longer than the recording", imported, short, rules + "[even]\nlate = { q = 0.9 }\n")
 
 
 def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path):

@@ -418,8 +418,8 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "contacts of two legs swapped": (
         exchanged(("contact_FL", "contact_FR")),
         "legs", "swapped legs (contacts)"),
-    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "FL_hip is FL_thigh"),
-    "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "FL_thigh is FL_calf"),
+    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "hip is thigh"),
+    "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "thigh is calf"),
     "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
     "a second lost": (partial(dropped, rows=slice(1000, 1500)), "rows", "500 rows missing"),
     "every twentieth row lost": (partial(dropped, rows=20), "single rows", "lost rows"),

@@ -247,12 +247,12 @@ def test_where_no_step_can_be_judged_no_stamp_is_doubtful():
 def log_of(walk, seen):
     """A log of a motion, its reference interpolated between samples."""
     inside = (walk.t >= seen.t[0]) & (walk.t <= seen.t[-1])
-    p, q, ok = interpolate_reference(walk.t[inside], seen.t, seen.p, seen.q)
+    at, ok = interpolate_reference(walk.t[inside], seen)
     columns = {"t": walk.t[inside], "ref_ok": ok.astype(float)}
     for i, axis in enumerate("xyz"):
         columns |= {f"gyro_{axis}": walk.gyro[inside, i], f"accel_{axis}": walk.accel[inside, i]}
-        columns[f"ref_p_{axis}"] = p[:, i]
-    columns |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+        columns[f"ref_p_{axis}"] = at.p[:, i]
+    columns |= {f"ref_q_{axis}": at.q[:, i] for i, axis in enumerate("wxyz")}
     return Log(pd.DataFrame(columns), Meta(400.0))
 
 

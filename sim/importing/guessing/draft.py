@@ -13,6 +13,11 @@ from surefoot.sim.importing.columns import UNITS, ColumnEntry, kind_of, map_line
 _LISTED = 20
 """Largest number of unused columns that are listed for a reason."""
 
+_INTRODUCTION = (
+    "# A draft by `surefoot import --guess`. A line with a # ? is a question: answer it by",
+    "# what you know of the robot, then delete it. No log tells the signs of joints.",
+)
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -71,35 +76,28 @@ class Draft:
     @property
     def text(self) -> str:
         """The draft as a map file (TOML)."""
-        lines = [
-            "# A draft by `surefoot import --guess`. A line with a # ? is a question: answer it by",
-            "# what you know of the robot, then delete it. No log tells the signs of joints.",
-            *(f"# ? {' '.join(note.split())}" for note in self.notes),
-            "",
-            "[source]",
-            *self._file(self.file),
-        ]
+        sections = {"[source]": self._file(self.file)}
         if self.rate:
             rate, stated = self.rate
-            lines.append(f"rate = {rate:.6g} # ? no times found; by {' '.join(stated.split())}")
+            asked = f"# ? no times found; by {' '.join(stated.split())}"
+            sections["[source]"].append(f"rate = {rate:.6g} {asked}")
         for name, (path, clock) in self.sources.items():
-            lines += ["", f"[sources.{name}]", *self._file(path), _line(replace(clock, name="t"))]
-        lines += ["", "[columns]", *_lines(self.main)]
+            sections[f"[sources.{name}]"] = [*self._file(path), _line(replace(clock, name="t"))]
+        sections["[columns]"] = _lines(self.main)
         if self.reference:
-            lines += ["", "[reference]"]
-            if self.reference_file is not None and self.reference_file != self.file:
-                lines += self._file(self.reference_file)
-            lines += [
-                'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align',
-                "",
-                "[reference.columns]",
-                *_lines(self.reference),
-            ]
-        lines += ["", "[robot]", map_line("name", self.robot)] if self.robot else []
+            of = 'frame = "imu" # ? whose pose is it, and on which clock: try surefoot align'
+            file = self.reference_file
+            named = self._file(file) if file is not None and file != self.file else []
+            sections |= {"[reference]": [*named, of], "[reference.columns]": _lines(self.reference)}
+        if self.robot:
+            sections["[robot]"] = [map_line("name", self.robot)]
         if self.contact:
             on, off = self.contact
-            lines += ["", "[contact] # ? are these between swing and stance?", f"on = {on:.4g}"]
-            lines += [f"off = {off:.4g}"]
+            heading = "[contact] # ? are these between swing and stance?"
+            sections[heading] = [f"on = {on:.4g}", f"off = {off:.4g}"]
+        lines = [*_INTRODUCTION, *(f"# ? {' '.join(note.split())}" for note in self.notes)]
+        for heading, body in sections.items():
+            lines += ["", heading, *body]
         lines += [""] * bool(self.unused)
         for reason, names in self.unused.items():
             listed = ", ".join(names[:_LISTED]) + ", ..." * (len(names) > _LISTED)

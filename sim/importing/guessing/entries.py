@@ -43,8 +43,9 @@ def guess_columns(
     """
     imu, notes = _imu_entries(file)
     yaw = next((e.scale * file.columns[e.theirs] for e in imu if e.name == "gyro_z"), None)
-    columns = _joint_columns(file, commands, yaw)
-    joints, rate = _joint_entries(file, columns, yaw)
+    file = replace(file, yaw=yaw)
+    columns = _joint_columns(file, commands)
+    joints, rate = _joint_entries(file, columns)
     notes += _beyond_limits(file, joints)
     # Feet without names are in the order of the joints' legs.
     known = file.machine.limbs.legs if file.machine is not None else ()
@@ -117,13 +118,10 @@ _Joints = dict[str, dict[str, Entry]]
 """Kind of column -> joint -> its column, with a doubt."""
 
 
-def _joint_columns(file: RecordedFile, commands: bool, yaw: np.ndarray | None) -> _Joints:
+def _joint_columns(file: RecordedFile, commands: bool) -> _Joints:
     """Columns of joints: q, dq and tau, or q_des, dq_des and tau_ff for commands.
 
-    Args:
-        file: of the recording.
-        commands: whether its joint columns are targets and not readings.
-        yaw: (N,) yaw rate [rad/s], or None.
+    `commands` says whether the joint columns of the file are targets and not readings.
     """
     poses = {one.leg for one in _of(file, "ref_q").values() if one.leg}
     found = {
@@ -144,7 +142,7 @@ def _joint_columns(file: RecordedFile, commands: bool, yaw: np.ndarray | None) -
         if commanded or commands:
             kind = {"q": "q_des", "dq": "dq_des", "tau": "tau_ff"}[kind]
         of = joints.setdefault(kind, {})
-        for one in _named_joints(file, given) or _counted_joints(file, given, angles, yaw):
+        for one in _named_joints(file, given) or _counted_joints(file, given, angles):
             first = of.get(one.name)
             of[one.name] = replace(first, doubt=f"this, or {one.theirs}?") if first else one
     return joints
@@ -181,16 +179,12 @@ def _named_joints(file: RecordedFile, given: Mapping[str, Named]) -> list[Entry]
 
 
 def _counted_joints(
-    file: RecordedFile, given: Mapping[str, Named], angles: Iterable[str], yaw: np.ndarray | None
+    file: RecordedFile, given: Mapping[str, Named], angles: Iterable[str]
 ) -> list[Entry]:
     """The joint of each column by its number: in the order of a list of joints or, of those that
     are usual, in the one that fits the angles.
 
-    Args:
-        file: of the recording.
-        given: the columns, of one kind.
-        angles: names of the columns of angles.
-        yaw: (N,) yaw rate [rad/s], or None.
+    `given` are the columns, of one kind; `angles` the names of the columns of angles.
     """
     if len(given) == 1:
         return [Entry("joint", name) for name in given]
@@ -205,7 +199,7 @@ def _counted_joints(
         places = places[:motors]
     joints, doubt = _listed_order(file, len(places))
     if joints is None:
-        joints, asked = _fitting_order(file, [values.get(at) for at in places], yaw)
+        joints, asked = _fitting_order(file, [values.get(at) for at in places])
         doubt = f"{asked}{doubt}"
     joint_at = dict(zip(places, joints, strict=True))
     found = [Entry(joint_at[number[n]], n, doubt=doubt) for n in given if number[n] in joint_at]
@@ -233,17 +227,12 @@ def _listed_order(file: RecordedFile, count: int) -> tuple[Sequence[str] | None,
 
 
 def _fitting_order(
-    file: RecordedFile, angles: Sequence[np.ndarray | None], yaw: np.ndarray | None
+    file: RecordedFile, angles: Sequence[np.ndarray | None]
 ) -> tuple[Sequence[str], str]:
     """Names of joints in the usual order that fits their angles best, and a question.
 
     The angles of a robot's joints are within its limits; the strides of a quadruped's outer legs
-    are the longer ones in turns.
-
-    Args:
-        file: of the recording.
-        angles: (N,) in any unit of each joint, or None.
-        yaw: (N,) yaw rate [rad/s], or None.
+    are the longer ones in turns. Angles are (N,) in any unit, None of a joint without.
     """
     machine = file.machine
     if machine is not None and len(machine.limbs.joints) == len(angles):
@@ -261,7 +250,7 @@ def _fitting_order(
         return by_kind, f"are its joints in the order {', '.join(by_kind)}?"
     if len(angles) == len(JOINTS):
         known = {joint: x for joint, x in zip(JOINTS, angles, strict=True) if x is not None}
-        legs = _OTHER_SIDE_FIRST if _longer_inside(file, known, yaw) else LEGS
+        legs = _OTHER_SIDE_FIRST if _longer_inside(file, known) else LEGS
         return [f"{leg}_{hinge}" for leg in legs for hinge in HINGES], _legs_doubt(legs)
     return [f"joint{k}" for k in range(len(angles))], "which joint is it?"
 
@@ -275,7 +264,7 @@ def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
-def _longer_inside(file: RecordedFile, angles: Columns, yaw: np.ndarray | None) -> bool:
+def _longer_inside(file: RecordedFile, angles: Columns) -> bool:
     """Whether the strides of a quadruped's inner legs, by the angles' joints, are the longer ones
     in turns: left and right are exchanged.
     """
@@ -283,15 +272,13 @@ def _longer_inside(file: RecordedFile, angles: Columns, yaw: np.ndarray | None) 
         [x for joint, x in angles.items() if joint in thighs]
         for thighs in (("FL_thigh", "RL_thigh"), ("FR_thigh", "RR_thigh"))
     )
-    if yaw is None or file.seconds is None or not left or not right:
+    if file.yaw is None or file.seconds is None or not left or not right:
         return False
-    growth = stride_in_turns(file.seconds, yaw, left, right)
+    growth = stride_in_turns(file.seconds, file.yaw, left, right)
     return growth is not None and growth <= 0.0
 
 
-def _joint_entries(
-    file: RecordedFile, joints: _Joints, yaw: np.ndarray | None
-) -> tuple[list[Entry], float | None]:
+def _joint_entries(file: RecordedFile, joints: _Joints) -> tuple[list[Entry], float | None]:
     """Entries of the joints, and the rate of the rows [Hz] where joint rates determine it."""
     entries: list[Entry] = []
     rate = None
@@ -299,7 +286,7 @@ def _joint_entries(
         kind: {joint: file.columns[one.theirs] for joint, one in of_kind.items()}
         for kind, of_kind in joints.items()
     }
-    swapped = _SWAPPED if _longer_inside(file, values.get("q", {}), yaw) else ""
+    swapped = _SWAPPED if _longer_inside(file, values.get("q", {})) else ""
     for kind, of_joint in joints.items():
         prefix, readings = kind, values[kind]
         names = [file.names[one.theirs] for one in of_joint.values()]

@@ -60,6 +60,7 @@ class RecordedFile:
         machine: robot for which a map is drafted, or None.
         stated: rate of the rows [Hz] that the file states, and its name there, or None.
         skipped: what else the file contains, and why it is no column.
+        yaw: yaw rate (N,) [rad/s] by its gyro, once that is known; or None.
     """
 
     path: Path
@@ -74,6 +75,7 @@ class RecordedFile:
     machine: Machine | None = None
     stated: tuple[float, str] | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
+    yaw: np.ndarray | None = None
 
     @property
     def counter(self) -> Entry | None:

@@ -6,12 +6,7 @@ from typing import Any
 
 from surefoot.sim.common.errors import parsed_as
 from surefoot.sim.common.limits import admitted
-from surefoot.sim.importing.readers.array_file import (
-    read_hdf5,
-    read_mat,
-    read_npz,
-    read_parquet,
-)
+from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, read_parquet
 from surefoot.sim.importing.readers.bag import is_bag, read_bag
 from surefoot.sim.importing.readers.json_file import read_json
 from surefoot.sim.importing.readers.table import RecordedTable, with_stamps
