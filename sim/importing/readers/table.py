@@ -220,7 +220,7 @@ def _numbers(
     k = int(np.append(np.flatnonzero(~np.isfinite(values)), len(values))[0])
     if k == len(cells):
         return values
-    empty = "NaN or empty; sparse = true in the map leaves such cells out"
+    empty = "NaN or empty (in an import, sparse = true in the map leaves such cells out)"
     other = empty if _empty(cells[[k]])[0] else f"{str(cells[k])[:40]!r} is not a number"
     what = "infinite" if math.isinf(_number(cells[k])) else other
     row = table.first + int(rows[k])
