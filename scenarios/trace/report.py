@@ -68,8 +68,8 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
 
 
 def summary(found: Trace) -> str:
-    """The report for a terminal, without the second table of the filters."""
-    shown = [one for one in sections(found) if one.heading != _EVERY_METRIC]
+    """The report for a terminal, without what is folded and the second table of the filters."""
+    shown = [one for one in sections(found) if not (one.folded or one.heading == _EVERY_METRIC)]
     return markdown_report(f"verdict: {found.verdict}: {headline(found)}", shown).rstrip()
 
 
