@@ -234,7 +234,7 @@ def metric_of(
     data, layout, limbs = design(known), known.layout, cases[0].robot.limbs
     floor = noise_of(error, layout)
     unknown, floor = np.isnan(floor), np.nan_to_num(floor, nan=1e-12)
-    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
+    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and key not in known.groups]
     robust = robust_weights(_with_own(known, own), floor)
     if not robust_to_outliers:
         robust = replace(robust, weight=data.there.astype(float), sigma=floor)
