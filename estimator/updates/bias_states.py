@@ -53,15 +53,13 @@ BIAS_AT, WINDOW_AT, COURSE_AT = 15, 18, 21
 
 
 class PersistentModel(NamedTuple):
-    """`PersistentError` in the form that the kernels take."""
+    """How b_p varies about c, in the form that the kernels take: see `PersistentError`."""
 
     covariance: np.ndarray
     time_constant: float
-    window: int
-    max_error: np.ndarray
 
 
-NOT_PERSISTENT = PersistentModel(np.zeros((3, 3)), np.inf, 1, np.full(3, np.inf))
+NOT_PERSISTENT = PersistentModel(np.zeros((3, 3)), np.inf)
 """Argument of the kernels for a filter without a persistent part."""
 
 
@@ -109,9 +107,7 @@ class PersistentError:
 
     def model(self) -> PersistentModel:
         """The same in the form that the kernels take."""
-        return PersistentModel(
-            self.covariance, float(self.time_constant), int(self.window), self.max_error
-        )
+        return PersistentModel(self.covariance, float(self.time_constant))
 
 
 @kernel

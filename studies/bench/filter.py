@@ -13,11 +13,11 @@ from surefoot import Observer
 from surefoot.estimator import (
     EXTRA,
     FLOOR,
-    UNLIMITED,
     hat,
     lift,
     propagate,
     update_coverage,
+    velocity_memory,
     velocity_output,
 )
 from surefoot.extend import ARCHITECTURES, GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
@@ -51,7 +51,7 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
     def run(samples: int):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
         log = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
-        run_updates(*log, epsilon, mean, covariance, noise, shifts, samples)
+        run_updates(*log, epsilon, mean, covariance, noise, velocity_memory(), shifts, samples)
         return mean
 
     ours, theirs = in_turn(lambda: run(0), lambda: run(SAMPLES), rounds, progress)
@@ -65,7 +65,9 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 
 @kernel
-def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
+def run_updates(
+    t, gyro, accel, v_I, epsilon, mean, covariance, noise, memory, shifts, samples: int
+):  # fmt: skip
     """Run the filter over a log with an update at every sample, in place.
 
     Args:
@@ -77,17 +79,16 @@ def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, s
         mean: (7, 3), the packed mean.
         covariance: (15, 15).
         noise: (4, 3), `FilterNoise.packed`.
+        memory: VelocityMemory.
         shifts: (N-1, 3) in [0, 1), of the lattices.
         samples: of the moments; 0 for exact ones.
     """
     columns, rotation_columns = np.zeros((15, 6)), np.zeros((0, 3))
-    counts = np.zeros(2, dtype=np.int64)
     for k in range(1, t.shape[0]):
         dt = t[k] - t[k - 1]
         propagate(mean, covariance, gyro[k], accel[k], dt, noise, columns, rotation_columns)
         if samples == 0:
-            v, limit = v_I[k - 1], UNLIMITED
-            update_coverage(mean, covariance, v, epsilon, BENCH_GAMMA, 1, limit, 1, counts)
+            update_coverage(mean, covariance, v_I[k - 1], epsilon, BENCH_GAMMA, 1, memory)
         else:
             sampled_update(mean, covariance, v_I[k - 1], epsilon, samples, shifts[k - 1])
 

@@ -19,11 +19,7 @@ from surefoot.estimator.updates.bias_states import (
     propagate_bias,
 )
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.velocity import (
-    UNLIMITED,
-    fresh_counts,
-    update_velocity_unless_outlier,
-)
+from surefoot.estimator.updates.velocity import UNLIMITED, update_velocity, velocity_memory
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -46,7 +42,7 @@ def gather(mean, P, samples, v_I, window):
     work = np.zeros((24, 6)), np.zeros((9, 3))
     for (gyro, accel), v in zip(samples, v_I, strict=True):
         propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
-        update_coverage(mean, P, v, np.ones(3), 0.8, 1, INF, window, fresh_counts())
+        update_coverage(mean, P, v, np.ones(3), 0.8, 1, velocity_memory(INF, window))
 
 
 def test_the_windows_mean_by_differences():
@@ -222,10 +218,8 @@ def test_what_is_no_persistent_error_is_one_line(values, says):
 def test_a_velocity_left_out_changes_nothing():
     mean, P = prior(np.random.default_rng(5))
     before = mean.copy(), P.copy()
-    counts = np.zeros(2, dtype=np.int64)
-    limit = np.full(3, 0.1), 5
-    far = np.full(3, 1e3)
-    found = update_velocity_unless_outlier(mean, P, far, np.eye(3), *limit, counts)
+    memory, far = velocity_memory(np.full(3, 0.1), 5), np.full(3, 1e3)
+    found = update_velocity(mean, P, 0, far, np.eye(3), memory)
     assert np.isnan(found)
     assert_array_equal(mean, before[0])
     assert_array_equal(P, before[1])
@@ -236,18 +230,18 @@ def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
     at the end it starts from zero, whatever the update made of it."""
     mean, P = NavState(v_GI=np.array([0.5, 0.0, 0.0])).pack(EXTRAS), np.zeros((24, 24))
     mean[7] = [0.0, 0.1, 0.0]
-    counts = fresh_counts()
+    memory = velocity_memory(window=3)
     off = np.array([[0.3, 0.0, -0.1], [0.1, -0.2, 0.0], [0.0, 0.0, 0.0]])
     expected, pi = mean[3] + mean[7], np.nan
     for k in range(3):
         bounds = np.full(3, 0.5)
-        pi = update_coverage(mean, P, expected + off[k], bounds, 0.8, 1, INF, 3, counts)
+        pi = update_coverage(mean, P, expected + off[k], bounds, 0.8, 1, memory)
         if k < 2:
             assert np.isnan(pi)
             assert_allclose(mean[8], -off[: k + 1].sum(axis=0) / 3, atol=1e-15)
     assert 0.0 <= pi <= 1.0
     assert_array_equal(mean[8], 0.0)
-    assert counts[0] == 0
+    assert memory.counts[0] == 0
 
 
 def test_a_largest_error_that_rejects_nothing_is_a_persistent_errors():
