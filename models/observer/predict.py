@@ -79,20 +79,16 @@ def prediction_errors(
     """Rows (M,) with a measured reference, and the errors v_I predicted - v_I (M, 3) [m/s]
     there.
     """
-    rows, errors, _ = judged_prediction(observer, log, robot)
+    rows, errors, _ = judged(predict(observer, log, robot), log)
     return rows, errors
 
 
-def judged_prediction(
-    observer: Observer, log: Log, robot: Mounted | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """`prediction_errors`, and the predicted covariances (M, 3, 3) [m^2/s^2] of a `gml` observer
-    there, None of an `mse` one.
+def judged(prediction: Prediction, log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Rows (M,) of a log with a measured reference, the errors v_I predicted - v_I (M, 3) [m/s]
+    there, and the predicted covariances (M, 3, 3) [m^2/s^2], None of an `mse` observer.
     """
-    prediction = predict(observer, log, robot)
     v_I, measured = body_velocity(log, prediction.rows)
-    covariance = prediction.covariance
-    covariance = None if covariance is None else covariance[measured]
+    covariance = None if prediction.covariance is None else prediction.covariance[measured]
     return prediction.rows[measured], (prediction.v_I - v_I)[measured], covariance
 
 

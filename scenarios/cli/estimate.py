@@ -158,7 +158,7 @@ class Calibrate(
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import (
-            calibrate,
+            bounds_on,
             left_out_coverage,
             unseen_errors,
         )
@@ -183,7 +183,8 @@ class Calibrate(
             recorded = list(many_walks(drawn, role="calibrate"))
         warnings = [] if self.walks else not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
-        bounds = calibrate(observer, logs, self)
+        unseen = unseen_errors(observer, logs)
+        bounds = bounds_on(observer, unseen, self)
         bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings)))
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
             if folder:
@@ -198,7 +199,6 @@ class Calibrate(
             f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
         if len(logs) > 1:
-            unseen = unseen_errors(observer, logs)
             shares = left_out_coverage(unseen.relative, self, bounds.K)
             held = dict(zip(unseen.names, shares, strict=True))
             worst = min(held, key=lambda name: held[name])
