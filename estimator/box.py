@@ -105,11 +105,11 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     if np.isnan(log_prob):
         sums = np.zeros(10)
         log_prob = _integrate(C, low, high, mode, distance, sums)
-        sound = _sound(sums)
-        if sound:
-            _centre(sums, mode, found, S)
-            sound = distance < _FAR or below_prior(C, S)
-        if not sound:
+        _centre(sums, mode, found, S)
+        sound = 1e-60 < sums[0] < np.inf  # above the mode's rounding
+        for i in range(3):
+            sound &= 0.0 < S[i, i] < np.inf
+        if not (sound and (distance < _FAR or below_prior(C, S))):
             log_prob = _corner(C, low, high, mode, distance, sums)
             _centre(sums, mode, found, S)
         log_prob += math.log(sums[0])
@@ -123,7 +123,7 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     return min(log_prob, 0.0)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _centre(sums, mode, mean, cov):
     """Mean (3,) and covariance (3, 3) from the moments 0, 1 and 2 about the mode."""
     total = sums[0]
@@ -132,20 +132,6 @@ def _centre(sums, mode, mean, cov):
         for j in range(i, 3):
             second = sums[4 + 3 * i - i * (i - 1) // 2 + j - i] / total
             cov[i, j] = cov[j, i] = second - sums[1 + i] * sums[1 + j] / (total * total)
-
-
-@kernel
-def _sound(sums) -> bool:
-    """Whether mass and variances are positive and finite, and the mass is above the mode's
-    rounding.
-    """
-    if not 1e-60 < sums[0] < np.inf:
-        return False
-    for i in range(3):
-        variance = sums[4 + 3 * i - i * (i - 1) // 2] / sums[0] - (sums[1 + i] / sums[0]) ** 2
-        if not 0.0 < variance < np.inf:
-            return False
-    return True
 
 
 @kernel

@@ -145,6 +145,7 @@ def compare_log(
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
+            assert model is not None  # whose joints the observer read
             _, errors = bounded_errors(prediction, bounds, known, model.R_BI)
             held[name] = coverage(errors, bounds)
             if words := _not_held(held[name], bounds.gamma):
