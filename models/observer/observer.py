@@ -21,7 +21,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
+from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head, cholesky_factor
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
@@ -51,6 +51,13 @@ INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")
 """Inputs to train with: groups of a log's columns, and `feet`, computed from q, dq and gyro."""
 EARLIER_INPUTS = ("feet", "tau,feet", "q,dq,tau,feet")
 """Inputs of observers of version 0.1.0, whose feet move relative to the base: without gyro."""
+
+
+Running = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+"""Function of a robot's next samples, 10 ms apart, to v_I (M, 3) [m/s] and covariances (M, 3, 3),
+None of an `mse` observer. A sample are the `signals` (S,), unscaled, after the anti-alias filter of
+`surefoot.models.observer.samples`; the state is kept between calls.
+"""
 
 
 class ObserverError(SurefootError):
@@ -150,9 +157,8 @@ class Observer:
         network.load_state_dict({n: torch.from_numpy(w) for n, w in self.weights.items()})
         return network.eval()
 
-    def running(self, whole: bool) -> Callable[[np.ndarray], np.ndarray]:
-        """A function from scaled inputs (T, C), from a log's first sample or the one after the last
-        call, to outputs of the head (T, 3 or 9).
+    def running(self, whole: bool = False) -> Running:
+        """The observer from a log's beginning on; a `gru` and an `mlp` step in compiled code.
 
         Raises ObserverError for a model that is not causal, unless the one call has the `whole`
         log; LookupError, ValueError or RuntimeError for weights of another network.
@@ -171,23 +177,23 @@ class Observer:
             )
         head = Head(self.weights, features, LOSS_OUTPUTS[self.loss], self._leg_count)
 
-        def run(x: np.ndarray) -> np.ndarray:
-            return head(x, body(x))
+        kinematics = Kinematics.of(self.legs, self) if self.legs else None
+
+        def run(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+            inputs = observer_inputs(self.inputs, kinematics, x) - self.input_mean
+            scaled = (inputs / self.input_scale).astype(np.float32, order="C")
+            outputs = head(scaled, body(scaled))
+            v_I = self.output_mean + self.output_scale * outputs[:, :3].astype(float)
+            if self.loss != "gml":
+                return v_I, None
+            L = self.output_scale[:, None] * cholesky_factor(outputs).astype(float)
+            return v_I, L @ L.swapaxes(-1, -2)
 
         return run
 
     @property
     def _leg_count(self) -> int:
         return len(self.legs["radius"]) if self.legs else 0
-
-    @cached_property
-    def _kinematics(self) -> Kinematics | None:
-        return Kinematics.of(self.legs, self) if self.legs else None
-
-    def scaled(self, x: np.ndarray) -> np.ndarray:
-        """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
-        x = observer_inputs(self.inputs, self._kinematics, x)
-        return ((x - self.input_mean) / self.input_scale).astype(np.float32, order="C")
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""

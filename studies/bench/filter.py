@@ -22,7 +22,6 @@ from surefoot.estimator import (
 )
 from surefoot.extend import ARCHITECTURES, GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
 from surefoot.models.observer.network import Network
-from surefoot.models.observer.predict import Loop
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
 PYTHON_STEPS = 2000
@@ -127,7 +126,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     alone.
     """
     study, _, trials = trial()
-    loop = Loop(untrained_observer())
+    running = untrained_observer().running()
     x = np.random.default_rng(7).standard_normal((FILTER_STEPS, 36))
     epsilon, dt = 1.8 * study.noise_std, 1.0 / study.imu_rate
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
@@ -136,7 +135,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     def ours():
         f = InvariantFilter(state, covariance, noise)
         for k in range(FILTER_STEPS):
-            loop.step(x[k])
+            running(x[k : k + 1])
             f.predict(trials.gyro[0, k + 1], trials.accel[0, k + 1], dt)
             # The network is untrained, so the trial's velocity replaces its output.
             f.update_coverage(trials.v_I[0, k], epsilon, BENCH_GAMMA)
