@@ -28,7 +28,6 @@ from surefoot.estimator.run import (
 from surefoot.estimator.updates.bias_states import (
     BIAS_AT,
     EXTRAS,
-    NOT_PERSISTENT,
     PersistentError,
     propagate_bias,
 )
@@ -70,6 +69,8 @@ class FilterMemory(NamedTuple):
         noise: (4, 3), from `FilterNoise.packed`.
         columns: (15+3E, 6), work space of `propagate`.
         coupling: (3E, 3), zeros, of the extras to the rotation error.
+        prior: of a persistent error about the course's (3, 3) [m^2/s^2]; zero without one.
+        time_constant: of the persistent error [s].
     """
 
     mean: np.ndarray
@@ -77,6 +78,8 @@ class FilterMemory(NamedTuple):
     noise: np.ndarray
     columns: np.ndarray
     coupling: np.ndarray
+    prior: np.ndarray
+    time_constant: float
 
 
 class InvariantFilter(NavigationFilter):
@@ -100,10 +103,11 @@ class InvariantFilter(NavigationFilter):
     ):
         compiled(predict_checked, PREDICT)
         covariance, extras = spd("covariance", covariance, 15), 0
-        self._model = NOT_PERSISTENT
+        prior, time_constant, limits = np.zeros((3, 3)), np.inf, ()
         if persistent is not None:
             covariance, extras = persistent.enter(covariance), EXTRAS
-            self._model = persistent.model()
+            prior, time_constant = persistent.covariance, float(persistent.time_constant)
+            limits = persistent.max_error, int(persistent.window)
         n = EXTRA + extras
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
         self._vectors = np.zeros((n + 6 + 3 * extras, 3))
@@ -115,12 +119,10 @@ class InvariantFilter(NavigationFilter):
             self._vectors[n : n + 4],
             np.zeros((15 + 3 * extras, 6)),
             self._vectors[n + 6 :],
+            prior,
+            time_constant,
         )
-        self._velocity = (
-            velocity_memory(persistent.max_error, persistent.window)
-            if persistent
-            else velocity_memory()
-        )
+        self._velocity = velocity_memory(*limits)
         self.t = np.nan
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:
@@ -129,18 +131,18 @@ class InvariantFilter(NavigationFilter):
         gyro (3,) [rad/s] and accel (3,) [m/s^2], both in I, are means over the dt > 0 [s] that ends
         now.
         """
+        memory = self._memory
         try:
             omega, force = _array(gyro, _FLOAT), _array(accel, _FLOAT)
-            memory = self._memory
             work = self._vectors, memory.covariance, memory.columns
             done = predict_checked(*work, omega, force, float(dt))
         except (TypeError, ValueError):  # not three numbers
             done = False
         if not done:
             check_step(gyro, accel, dt)
-            check_sound(*self._memory[:2])
-        if self._model is not NOT_PERSISTENT:
-            propagate_bias(*self._memory[:2], self._model, float(dt))
+            check_sound(*memory[:2])
+        if memory.time_constant < np.inf:
+            propagate_bias(*memory[:2], memory.prior, memory.time_constant, float(dt))
 
     def update_coverage(
         self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
@@ -198,7 +200,7 @@ class InvariantFilter(NavigationFilter):
         pi = np.full(len(velocities.rows), np.nan)
         sums, window = empty_sums(imu.t, 1)
         share = _deviation_share(settings.gamma, self._velocity.window)
-        start = self._memory, self._velocity, self._model, self.t
+        start = self._memory, self._velocity, self.t
         _run(imu, velocities, settings, *start, found, pi, window, sums.sums, share)
         self.t = float(imu.t[-1])
         done, updates = np.isfinite(pi), None
@@ -237,7 +239,7 @@ class PersistentFilter(InvariantFilter):
 
 @kernel
 def _run(
-    imu, velocities, settings, memory, measured, model, before, found, values, window, sums, share
+    imu, velocities, settings, memory, measured, before, found, values, window, sums, share
 ):  # fmt: skip
     """Run a filter over rows of a log; values (M,) receive what each update returns.
 
@@ -247,7 +249,6 @@ def _run(
         settings: CoverageSettings.
         memory: FilterMemory; a state with extras has a persistent part.
         measured: VelocityMemory.
-        model: PersistentModel of it.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
         values: pi of coverage updates, squared distances of Gaussian ones.
@@ -266,7 +267,7 @@ def _run(
             dt = imu.t[k] - before
             propagate(mean, P, imu.gyro[k], imu.accel[k], dt, noise, columns, coupling)
             if persistent:
-                propagate_bias(mean, P, model, dt)
+                propagate_bias(mean, P, memory.prior, memory.time_constant, dt)
         before = imu.t[k]
         if m < velocities.rows.shape[0] and velocities.rows[m] == k:
             v_I = velocities.v_I[m]

@@ -438,17 +438,12 @@ def _insert(mean, covariance, k: int, foot_I, measurement_cov):
         measurement_cov: (3, 3) [m^2], its covariance in I.
     """
     at = 15 + 3 * k
-    n = covariance.shape[0]
     for i in range(3):
         mean[EXTRA + k, i] = mean[P, i]
         for m in range(3):
             mean[EXTRA + k, i] += mean[i, m] * foot_I[m]
-    for i in range(3):
-        for j in range(n):
-            covariance[at + i, j] = covariance[6 + i, j]
-    for i in range(3):
-        for j in range(n):
-            covariance[j, at + i] = covariance[j, 6 + i]
+    copy_corner(covariance[6:9], covariance[at : at + 3])
+    copy_corner(covariance[:, 6:9], covariance[:, at : at + 3])
     for i in range(3):
         for j in range(3):
             for a in range(3):

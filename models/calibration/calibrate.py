@@ -14,8 +14,6 @@ Predictive Inference for Regression, JASA 2018, section 5.2).
 `surefoot.models.calibration.empirical_coverage` measures the coverage that results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ significant. The tests of shape therefore take every K-th error, with K from the
 the interval of the mean uses the effective number of samples by the autocorrelation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -16,8 +16,6 @@ name in `surefoot.models.registry`. Trained ones of `gru` and `mlp` run without 
 sample, since the robot stood there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import ClassVar

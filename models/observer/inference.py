@@ -5,8 +5,6 @@ classes continues where its last call ended, and its loops sum each row in the s
 their number: a whole log gives the same bits as its samples one by one, which BLAS would not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 

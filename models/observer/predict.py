@@ -1,7 +1,5 @@
 """Prediction with an observer: for a whole log, in a robot's own loop, or for a log in pieces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -55,7 +55,7 @@ def march(kind, steps, seed, memory, measured, persistent, contacts, noise, feet
         else:
             propagate_contacts(memory, contacts, gyro, accel, 0.002, rates)
         if kind == 2 or kind == 3:
-            propagate_bias(mean, P, persistent, 0.002)
+            propagate_bias(mean, P, persistent, 20.0, 0.002)
         if k % every == every - 1:
             check[k // every] = P
         if k % 5000 >= 4500:
@@ -98,7 +98,7 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
     rejecting = kind.endswith(("persistent", "outliers"))
     limits = (lasting.max_error, lasting.window) if rejecting else ()
     memories = contact_memory(mean, P), velocity_memory(*limits)
-    march(place, steps, 1, *memories, lasting.model(), contacts, NOISE, FEET, check)
+    march(place, steps, 1, *memories, lasting.covariance, contacts, NOISE, FEET, check)
     assert np.isfinite(check).all()
     assert np.isfinite(P).all()
     assert np.isfinite(mean).all()
