@@ -103,11 +103,12 @@ class InvariantFilter(NavigationFilter):
     ):
         compiled(predict_checked, PREDICT)
         covariance, extras = spd("covariance", covariance, 15), 0
-        prior, time_constant, limits = np.zeros((3, 3)), np.inf, ()
+        prior, time_constant = np.zeros((3, 3)), np.inf
+        self._velocity = velocity_memory()
         if persistent is not None:
             covariance, extras = persistent.enter(covariance), EXTRAS
             prior, time_constant = persistent.covariance, float(persistent.time_constant)
-            limits = persistent.max_error, int(persistent.window)
+            self._velocity = velocity_memory(persistent.max_error, int(persistent.window))
         n = EXTRA + extras
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
         self._vectors = np.zeros((n + 6 + 3 * extras, 3))
@@ -122,7 +123,6 @@ class InvariantFilter(NavigationFilter):
             prior,
             time_constant,
         )
-        self._velocity = velocity_memory(*limits)
         self.t = np.nan
 
     def predict(self, gyro: np.ndarray, accel: np.ndarray, dt: float) -> None:

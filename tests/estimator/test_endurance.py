@@ -96,8 +96,8 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
     check = np.full((40, *P.shape), np.nan)
     contacts = ContactModel(NOISE, np.full(3, 4e-4), 0.01, np.full(4, 0.02), np.inf)
     rejecting = kind.endswith(("persistent", "outliers"))
-    limits = (lasting.max_error, lasting.window) if rejecting else ()
-    memories = contact_memory(mean, P), velocity_memory(*limits)
+    measured = velocity_memory(lasting.max_error, 12) if rejecting else velocity_memory()
+    memories = contact_memory(mean, P), measured
     march(place, steps, 1, *memories, lasting.covariance, contacts, NOISE, FEET, check)
     assert np.isfinite(check).all()
     assert np.isfinite(P).all()
