@@ -19,13 +19,12 @@ import numpy as np
 
 from surefoot.estimator.core.checks import asymmetry, is_definite
 from surefoot.estimator.moments.faces import (
-    Rectangle,
     nearest_given_first,
     nearest_in_box,
     remaining,
 )
 from surefoot.estimator.moments.grid import grid_moments
-from surefoot.estimator.moments.line import DEPTH, About, Conditional2, line_moments, plane_moments
+from surefoot.estimator.moments.line import DEPTH, line_moments, plane_moments
 from surefoot.estimator.moments.parts import outer_parts
 from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
 from surefoot.sim.common.kernels import kernel
@@ -223,7 +222,7 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     cuts, scales = np.empty(16), np.empty(16)
     parts = outer_parts(C, low, high, left, right, distance, cuts, scales)
     inner = np.empty(6)
-    rectangle = Rectangle(low[1], high[1], low[2], high[2])
+    rectangle = low[1], high[1], low[2], high[2]
     for part in range(parts):
         start, end = cuts[part], cuts[part + 1]
         drop = drop_between(
@@ -241,8 +240,8 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
                 depth = DEPTH - 0.5 * (nearest - distance)
                 if depth <= 0.0:
                     continue
-                given = Conditional2(b1 * x, b2 * x, s1, slope, s2)
-                about = About(mode[1], mode[2], x1, 0.5 * (distance - x * x), depth)
+                given = b1 * x, b2 * x, s1, slope, s2
+                about = mode[1], mode[2], x1, 0.5 * (distance - x * x), depth
                 plane_moments(given, rectangle, about, inner)
                 w = step * WEIGHTS[i]
                 y = x - mode[0]

@@ -29,13 +29,11 @@ class Prediction:
 
     Attributes:
         rows: indices into the log (M,).
-        t: (M,) [s].
         v_I: velocity of the log's IMU in its own frame (M, 3) [m/s].
         covariance: (M, 3, 3) [m^2/s^2] of a `gml` observer, None of an `mse` one.
     """
 
     rows: np.ndarray
-    t: np.ndarray
     v_I: np.ndarray
     covariance: np.ndarray | None
 
@@ -67,7 +65,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
             )
         gyro = log.gyro[seen.rows]
         v_I, covariance = move_velocity(v_I, covariance, gyro, observer, robot)
-    return Prediction(seen.rows, seen.t, v_I, covariance)
+    return Prediction(seen.rows, v_I, covariance)
 
 
 def prediction_errors(
