@@ -18,6 +18,7 @@ from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
 from surefoot.estimator.evaluation.innovation_sums import empty_sums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.estimator.run import (
+    FLOAT,
     NO_VELOCITIES,
     ImuSamples,
     NavigationFilter,
@@ -45,7 +46,7 @@ from surefoot.estimator.updates.velocity import (
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.kernels import compiled, kernel
 
-_array, _FLOAT = np.ascontiguousarray, np.dtype(float)
+_array = np.ascontiguousarray
 
 
 class CoverageSettings(NamedTuple):
@@ -133,7 +134,7 @@ class InvariantFilter(NavigationFilter):
         """
         memory = self._memory
         try:
-            omega, force = _array(gyro, _FLOAT), _array(accel, _FLOAT)
+            omega, force = _array(gyro, FLOAT), _array(accel, FLOAT)
             work = self._vectors, memory.covariance, memory.columns
             done = predict_checked(*work, omega, force, float(dt))
         except (TypeError, ValueError):  # not three numbers
@@ -163,8 +164,8 @@ class InvariantFilter(NavigationFilter):
         """
         update, state = compiled(update_coverage_checked, UPDATE_COVERAGE), self._memory[:2]
         try:
-            given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
-            pi = update(*state, *given, self._velocity)
+            given = _array(v_I, FLOAT), _array(epsilon, FLOAT), float(gamma), int(iterations)
+            pi = update(*state, *given, *self._velocity[:3])
         except (TypeError, ValueError):  # not three numbers
             pi = -1.0
         if pi < 0.0:

@@ -26,6 +26,8 @@ from surefoot.estimator.updates.velocity import (
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled
 
+FLOAT = np.dtype(float)
+"""The type of numbers; `float` itself takes longer to convert to."""
 OUTPUT_PERIOD = 0.01
 """Default interval between stored estimates [s]."""
 
@@ -184,8 +186,8 @@ class NavigationFilter:
         """
         update, state = compiled(update_velocity_checked, UPDATE_VELOCITY), self._memory[:2]
         try:
-            given = np.ascontiguousarray(v_I, float), np.ascontiguousarray(cov, float)
-            distance = update(*state, self._contacts, *given, self._velocity)
+            given = np.ascontiguousarray(v_I, FLOAT), np.ascontiguousarray(cov, FLOAT)
+            distance = update(*state, self._contacts, *given, *self._velocity[:3])
         except (TypeError, ValueError):  # not numbers of these shapes
             distance = -1.0
         if distance < 0.0:

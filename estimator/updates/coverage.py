@@ -36,7 +36,8 @@ from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.updates.bias_states import accumulate_window, restart_window, window_output
 from surefoot.estimator.updates.velocity import (
     GATHERED,
-    VELOCITY_MEMORY,
+    LIMITS,
+    VelocityMemory,
     is_outlier,
     lift,
     no_contacts,
@@ -116,14 +117,14 @@ def update_coverage(mean, covariance, v_I, epsilon, gamma: float, iterations: in
 
 
 UPDATE_COVERAGE = types.float64(
-    *(OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, VELOCITY_MEMORY)
+    *(OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, *LIMITS)
 )
 """Signature of `update_coverage_checked`."""
 
 
 @kernel
 def update_coverage_checked(
-    mean, covariance, v_I, epsilon, gamma: float, iterations: int, memory
+    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, window: int, counts
 ) -> float:
     """`update_coverage` for a robot's own loop, in one call.
 
@@ -136,14 +137,17 @@ def update_coverage_checked(
         epsilon: bounds (3,) [m/s].
         gamma: their joint level.
         iterations: of the projection.
-        memory: VelocityMemory.
+        max_error: of the VelocityMemory, as are window and counts.
+        window: likewise.
+        counts: likewise.
     """
     if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
         return -1.0
-    given = np.empty((2, 3))
+    given = np.empty((6, 3))
     v, bounds = given[0], given[1]
     copy_row(v_I, v)
     copy_row(epsilon, bounds)
+    memory = VelocityMemory(max_error, window, counts, given[2:])
     return update_coverage(mean, covariance, v, bounds, gamma, iterations, memory)
 
 

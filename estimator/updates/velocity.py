@@ -62,10 +62,6 @@ class VelocityMemory(NamedTuple):
     innovation: np.ndarray
 
 
-VELOCITY_MEMORY = types.NamedTuple((OWN_1, types.int64, types.int64[::1], OWN_2), VelocityMemory)
-"""Its type for compiled functions."""
-
-
 def velocity_memory(max_error: np.ndarray = UNLIMITED, window: int = 1) -> VelocityMemory:
     """Memory of a filter without measurements."""
     return VelocityMemory(max_error, window, np.zeros(2, dtype=np.int64), np.zeros((4, 3)))
@@ -302,12 +298,16 @@ def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov, memor
     return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
 
 
-UPDATE_VELOCITY = types.float64(OWN_2, OWN_2, types.int64, GIVEN_1, GIVEN_2, VELOCITY_MEMORY)
+LIMITS = OWN_1, types.int64, types.int64[::1]
+"""Types of the first three of a VelocityMemory: a whole one would cost a microsecond in a call."""
+UPDATE_VELOCITY = types.float64(OWN_2, OWN_2, types.int64, GIVEN_1, GIVEN_2, *LIMITS)
 """Signature of `update_velocity_checked`."""
 
 
 @kernel
-def update_velocity_checked(mean, covariance, contacts: int, v_I, measurement_cov, memory) -> float:
+def update_velocity_checked(
+    mean, covariance, contacts: int, v_I, measurement_cov, max_error, window: int, counts
+) -> float:
     """`update_velocity` for a robot's own loop, in one call.
 
     Checks measurement and state; returns -1, with nothing changed, if they fail.
@@ -318,13 +318,16 @@ def update_velocity_checked(mean, covariance, contacts: int, v_I, measurement_co
         contacts: number of contact points in the state.
         v_I: (3,) [m/s] in I, within MOST_SPEED.
         measurement_cov: (3, 3) [m^2/s^2], positive definite.
-        memory: VelocityMemory.
+        max_error: of the VelocityMemory, as are window and counts.
+        window: likewise.
+        counts: likewise.
     """
     if v_I.shape[0] != 3 or measurement_cov.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
         return -1.0
-    given = np.empty((4, 3))
+    given = np.empty((8, 3))
     R, v = given[:3], given[3]
     if not symmetric_definite(measurement_cov, R) or not is_sound(mean, covariance):
         return -1.0
     copy_row(v_I, v)
+    memory = VelocityMemory(max_error, window, counts, given[4:])
     return update_velocity(mean, covariance, contacts, v, R, memory)

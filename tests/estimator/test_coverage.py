@@ -103,7 +103,7 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
     memory = velocity_memory()
     wanted = update_velocity(mean, cov, 0, np.zeros(3), R, memory)
     found, spread = state.copy(), P.copy()
-    assert update_velocity_checked(found, spread, 0, np.zeros(3), R, memory) == wanted > 0.0
+    assert update_velocity_checked(found, spread, 0, np.zeros(3), R, *memory[:3]) == wanted > 0.0
     assert_array_equal(found, mean)
     assert_array_equal(spread, cov)
     for v_I, noise in (
@@ -111,7 +111,7 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
         (np.zeros(3), -R), (np.zeros(3), np.eye(2)),
     ):  # fmt: skip
         found, spread = state.copy(), P.copy()
-        assert update_velocity_checked(found, spread, 0, v_I, noise, memory) == -1.0
+        assert update_velocity_checked(found, spread, 0, v_I, noise, *memory[:3]) == -1.0
         assert_array_equal(found, state)
         assert_array_equal(spread, P)
 
