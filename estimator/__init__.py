@@ -18,6 +18,6 @@ if TYPE_CHECKING:
     from surefoot.estimator.initial import InitialStd, start_covariance
     from surefoot.estimator.run import bounded_velocities, gaussian_velocities, imu_samples
     from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
-    from surefoot.estimator.updates.velocity import UNLIMITED, lift, velocity_output
+    from surefoot.estimator.updates.velocity import lift, velocity_memory, velocity_output
 
 __getattr__, __dir__ = lazy_names(globals())

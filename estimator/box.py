@@ -19,13 +19,12 @@ import numpy as np
 
 from surefoot.estimator.core.checks import asymmetry, is_definite
 from surefoot.estimator.moments.faces import (
-    Rectangle,
     nearest_given_first,
     nearest_in_box,
     remaining,
 )
 from surefoot.estimator.moments.grid import grid_moments
-from surefoot.estimator.moments.line import DEPTH, About, Conditional2, line_moments, plane_moments
+from surefoot.estimator.moments.line import DEPTH, line_moments, plane_moments
 from surefoot.estimator.moments.parts import outer_parts
 from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
 from surefoot.sim.common.kernels import kernel
@@ -50,29 +49,24 @@ def box_moments(
     ValueError on wrong shapes, NaN, lower >= upper, or a covariance that is not symmetric positive
     definite.
     """
-    mean, lower, upper = (np.array(x, dtype=float, order="C") for x in (mean, lower, upper))
-    cov = np.array(cov, dtype=float, order="C")
-    for name, array in (("mean", mean), ("cov", cov), ("lower", lower), ("upper", upper)):
-        if array.shape != ((3, 3) if array is cov else (3,)):
-            wanted = "(3, 3)" if array is cov else "(3,)"
+    given = {"mean": mean, "cov": cov, "lower": lower, "upper": upper}
+    arrays = {name: np.array(value, dtype=float, order="C") for name, value in given.items()}
+    for name, array in arrays.items():
+        wanted = (3, 3) if name == "cov" else (3,)
+        if array.shape != wanted:
             raise ValueError(f"box_moments: {name} has shape {array.shape}, not {wanted}")
+        infinite = np.isinf(array) if name in ("lower", "upper") else False
+        if not np.all(infinite | np.isfinite(array)):
+            raise ValueError(f"box_moments: {name} has values that are not finite")
+    mean, cov, lower, upper = arrays.values()
+    if not np.all(lower < upper):
+        raise ValueError("box_moments: lower must be below upper on every axis")
+    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
+        raise ValueError("box_moments: cov is not symmetric")
+    if not is_definite(cov):
+        raise ValueError("box_moments: cov is not positive definite")
     out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    log_prob = _checked(mean, cov, lower, upper, out_mean, out_cov)
-    if log_prob > 0.0:
-        raise ValueError(f"box_moments: {_FAULTS[int(log_prob) - 1]}")
-    return log_prob, out_mean, out_cov
-
-
-_FAULTS = (
-    "mean has values that are not finite",
-    "cov has values that are not finite",
-    "lower has values that are not finite",
-    "upper has values that are not finite",
-    "lower must be below upper on every axis",
-    "the box is empty, a bound is infinite on the wrong side",
-    "cov is not symmetric",
-    "cov is not positive definite",
-)
+    return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov), out_mean, out_cov
 
 
 @kernel
@@ -105,11 +99,11 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     if np.isnan(log_prob):
         sums = np.zeros(10)
         log_prob = _integrate(C, low, high, mode, distance, sums)
-        sound = _sound(sums)
-        if sound:
-            _centre(sums, mode, found, S)
-            sound = distance < _FAR or below_prior(C, S)
-        if not sound:
+        _centre(sums, mode, found, S)
+        sound = 1e-60 < sums[0] < np.inf  # above the mode's rounding
+        for i in range(3):
+            sound &= 0.0 < S[i, i] < np.inf
+        if not (sound and (distance < _FAR or below_prior(C, S))):
             log_prob = _corner(C, low, high, mode, distance, sums)
             _centre(sums, mode, found, S)
         log_prob += math.log(sums[0])
@@ -123,7 +117,7 @@ def box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov) -> float:
     return min(log_prob, 0.0)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _centre(sums, mode, mean, cov):
     """Mean (3,) and covariance (3, 3) from the moments 0, 1 and 2 about the mode."""
     total = sums[0]
@@ -132,20 +126,6 @@ def _centre(sums, mode, mean, cov):
         for j in range(i, 3):
             second = sums[4 + 3 * i - i * (i - 1) // 2 + j - i] / total
             cov[i, j] = cov[j, i] = second - sums[1 + i] * sums[1 + j] / (total * total)
-
-
-@kernel
-def _sound(sums) -> bool:
-    """Whether mass and variances are positive and finite, and the mass is above the mode's
-    rounding.
-    """
-    if not 1e-60 < sums[0] < np.inf:
-        return False
-    for i in range(3):
-        variance = sums[4 + 3 * i - i * (i - 1) // 2] / sums[0] - (sums[1 + i] / sums[0]) ** 2
-        if not 0.0 < variance < np.inf:
-            return False
-    return True
 
 
 @kernel
@@ -242,7 +222,7 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
     cuts, scales = np.empty(16), np.empty(16)
     parts = outer_parts(C, low, high, left, right, distance, cuts, scales)
     inner = np.empty(6)
-    rectangle = Rectangle(low[1], high[1], low[2], high[2])
+    rectangle = low[1], high[1], low[2], high[2]
     for part in range(parts):
         start, end = cuts[part], cuts[part + 1]
         drop = drop_between(
@@ -260,8 +240,8 @@ def _integrate(C, low, high, mode, distance, sums) -> float:
                 depth = DEPTH - 0.5 * (nearest - distance)
                 if depth <= 0.0:
                     continue
-                given = Conditional2(b1 * x, b2 * x, s1, slope, s2)
-                about = About(mode[1], mode[2], x1, 0.5 * (distance - x * x), depth)
+                given = b1 * x, b2 * x, s1, slope, s2
+                about = mode[1], mode[2], x1, 0.5 * (distance - x * x), depth
                 plane_moments(given, rectangle, about, inner)
                 w = step * WEIGHTS[i]
                 y = x - mode[0]
@@ -346,37 +326,3 @@ def clip_to_prior(C, cov):
             for i in range(3):
                 for j in range(3):
                     cov[i, j] -= (values[k] - 1.0) * direction[i] * direction[j]
-
-
-@kernel
-def _checked(mean, cov, lower, upper, out_mean, out_cov) -> float:
-    """`box_moments_kernel` with checks of its inputs; returns the number of a fault where there is
-    one, counted from one in the order of _FAULTS.
-
-    Args:
-        mean: (3,) of the Gaussian.
-        cov: (3, 3) of the Gaussian.
-        lower: (3,), the box's lower bounds.
-        upper: (3,), the box's upper bounds.
-        out_mean: (3,), receives the truncated mean.
-        out_cov: (3, 3), receives the truncated covariance.
-    """
-    for i in range(3):
-        if not np.isfinite(mean[i]):
-            return 1.0
-        if not (np.isfinite(cov[i, 0]) and np.isfinite(cov[i, 1]) and np.isfinite(cov[i, 2])):
-            return 2.0
-        if np.isnan(lower[i]):
-            return 3.0
-        if np.isnan(upper[i]):
-            return 4.0
-    for i in range(3):
-        if not lower[i] < upper[i]:
-            return 5.0
-        if lower[i] == np.inf or upper[i] == -np.inf:
-            return 6.0
-    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
-        return 7.0
-    if not is_definite(cov):
-        return 8.0
-    return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov)

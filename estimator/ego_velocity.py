@@ -57,7 +57,13 @@ def ego_velocities(
         noise: standard deviation of a Doppler [m/s].
         angle_noise: standard deviations of azimuth and elevation [rad].
     """
-    direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
+    direction = numbers("direction", direction, (-1, 3))
+    doppler = numbers("doppler", doppler, (len(direction),))
+    if not 0.0 < noise < np.inf:
+        raise SurefootError(f"noise: {noise} where a number > 0 is expected")
+    noises = numbers("angle_noise", [noise, *angle_noise], (3,))
+    if noises.min() < 0:
+        raise SurefootError("angle_noise: two numbers >= 0 are expected")
     ends = np.searchsorted(frame, np.arange(frames + 1))
     velocities, covariances = np.empty((frames, 3)), np.empty((frames, 3, 3))
     good = np.zeros(frames, dtype=bool)
@@ -67,17 +73,6 @@ def ego_velocities(
         good[k] = _ego_velocity(u, d, noises, velocities[k], covariances[k], inlier)
     rows = np.flatnonzero(good)
     return rows, velocities[rows], covariances[rows]
-
-
-def _checked(direction, doppler, noise, angle_noise):
-    direction = numbers("direction", direction, (-1, 3))
-    doppler = numbers("doppler", doppler, (len(direction),))
-    if not 0.0 < noise < np.inf:
-        raise SurefootError(f"noise: {noise} where a number > 0 is expected")
-    noises = numbers("angle_noise", [noise, *angle_noise], (3,))
-    if noises.min() < 0:
-        raise SurefootError("angle_noise: two numbers >= 0 are expected")
-    return direction, doppler, noises
 
 
 @kernel

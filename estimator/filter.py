@@ -15,9 +15,10 @@ from surefoot.estimator.core.checks import (
 )
 from surefoot.estimator.core.propagation import PREDICT, predict_checked, propagate
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
-from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
+from surefoot.estimator.evaluation.innovation_sums import empty_sums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.estimator.run import (
+    FLOAT,
     NO_VELOCITIES,
     ImuSamples,
     NavigationFilter,
@@ -28,7 +29,6 @@ from surefoot.estimator.run import (
 from surefoot.estimator.updates.bias_states import (
     BIAS_AT,
     EXTRAS,
-    NOT_PERSISTENT,
     PersistentError,
     propagate_bias,
 )
@@ -38,21 +38,15 @@ from surefoot.estimator.updates.coverage import (
     update_coverage_checked,
 )
 from surefoot.estimator.updates.velocity import (
-    REJECTED,
-    UNLIMITED,
-    UPDATE_VELOCITY,
     add_velocity,
-    fresh_counts,
     no_contacts,
-    note_velocity,
-    update_velocity_checked,
-    update_velocity_unless_outlier,
+    update_velocity,
+    velocity_memory,
 )
 from surefoot.sim.common.copies import copy_corner
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel
 
-_array, _FLOAT = np.ascontiguousarray, np.dtype(float)
+_array = np.ascontiguousarray
 
 
 class CoverageSettings(NamedTuple):
@@ -61,12 +55,10 @@ class CoverageSettings(NamedTuple):
     Attributes:
         gamma: joint level of the bounds.
         iterations: of the projection.
-        max_error: error (3,) [m/s] beyond which a measurement is an outlier.
     """
 
     gamma: float = 0.0
     iterations: int = 1
-    max_error: np.ndarray = UNLIMITED
 
 
 class FilterMemory(NamedTuple):
@@ -78,7 +70,8 @@ class FilterMemory(NamedTuple):
         noise: (4, 3), from `FilterNoise.packed`.
         columns: (15+3E, 6), work space of `propagate`.
         coupling: (3E, 3), zeros, of the extras to the rotation error.
-        counts: (2,), see `surefoot.estimator.updates.velocity`.
+        prior: of a persistent error about the course's (3, 3) [m^2/s^2]; zero without one.
+        time_constant: of the persistent error [s].
     """
 
     mean: np.ndarray
@@ -86,7 +79,8 @@ class FilterMemory(NamedTuple):
     noise: np.ndarray
     columns: np.ndarray
     coupling: np.ndarray
-    counts: np.ndarray
+    prior: np.ndarray
+    time_constant: float
 
 
 class InvariantFilter(NavigationFilter):
@@ -110,10 +104,12 @@ class InvariantFilter(NavigationFilter):
     ):
         compiled(predict_checked, PREDICT)
         covariance, extras = spd("covariance", covariance, 15), 0
-        self._model = NOT_PERSISTENT
+        prior, time_constant = np.zeros((3, 3)), np.inf
+        self._velocity = velocity_memory()
         if persistent is not None:
             covariance, extras = persistent.enter(covariance), EXTRAS
-            self._model = persistent.model()
+            prior, time_constant = persistent.covariance, float(persistent.time_constant)
+            self._velocity = velocity_memory(persistent.max_error, int(persistent.window))
         n = EXTRA + extras
         # What a prediction takes lies in few arrays: each costs 40 ns in a call.
         self._vectors = np.zeros((n + 6 + 3 * extras, 3))
@@ -125,7 +121,8 @@ class InvariantFilter(NavigationFilter):
             self._vectors[n : n + 4],
             np.zeros((15 + 3 * extras, 6)),
             self._vectors[n + 6 :],
-            fresh_counts(),
+            prior,
+            time_constant,
         )
         self.t = np.nan
 
@@ -135,45 +132,21 @@ class InvariantFilter(NavigationFilter):
         gyro (3,) [rad/s] and accel (3,) [m/s^2], both in I, are means over the dt > 0 [s] that ends
         now.
         """
+        memory = self._memory
         try:
-            omega, force = _array(gyro, _FLOAT), _array(accel, _FLOAT)
-            memory = self._memory
+            omega, force = _array(gyro, FLOAT), _array(accel, FLOAT)
             work = self._vectors, memory.covariance, memory.columns
             done = predict_checked(*work, omega, force, float(dt))
         except (TypeError, ValueError):  # not three numbers
             done = False
         if not done:
             check_step(gyro, accel, dt)
-            check_sound(*self._memory[:2])
-        if self._model is not NOT_PERSISTENT:
-            propagate_bias(*self._memory[:2], self._model, float(dt))
-
-    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3), or in a
-        PersistentFilter that of its mixing error.
-
-        Returns the squared Mahalanobis distance of the innovation; nan where v_I was rejected as an
-        outlier.
-        """
-        update, model = compiled(update_velocity_checked, UPDATE_VELOCITY), self._model
-        try:
-            given = _array(v_I, _FLOAT), _array(cov, _FLOAT), model.max_error, model.window
-            distance = update(*self._memory[:2], *given, self._memory.counts)
-        except (TypeError, ValueError):  # not numbers of these shapes
-            distance = -1.0
-        if distance < 0.0:
-            check_velocity(v_I)
-            spd("cov", cov, 3)
-            check_sound(*self._memory[:2])
-        return distance
+            check_sound(*memory[:2])
+        if memory.time_constant < np.inf:
+            propagate_bias(*memory[:2], memory.prior, memory.time_constant, float(dt))
 
     def update_coverage(
-        self,
-        v_I: np.ndarray,
-        epsilon: np.ndarray,
-        gamma: float,
-        iterations: int = 1,
-        max_error: np.ndarray | None = None,
+        self, v_I: np.ndarray, epsilon: np.ndarray, gamma: float, iterations: int = 1
     ) -> float:
         """Algorithm 1 with P(|v_I - true v_I| <= epsilon) >= gamma, gamma the JOINT level.
 
@@ -188,24 +161,17 @@ class InvariantFilter(NavigationFilter):
             epsilon: its bounds (3,) > 0 [m/s] or, of a window, those of the mean mixing error.
             gamma: their joint level.
             iterations: of the projection; more than one bring the posterior's mass closer to gamma.
-            max_error: errors beyond (3,) > 0 [m/s] are rejected as outliers
-                (`surefoot.estimator.updates.velocity`); by default none is, and of a
-                PersistentFilter those beyond its model's.
         """
-        max_error = self._model.max_error if max_error is None else max_error
-        update = compiled(update_coverage_checked, UPDATE_COVERAGE)
+        update, state = compiled(update_coverage_checked, UPDATE_COVERAGE), self._memory[:2]
         try:
-            given = _array(v_I, _FLOAT), _array(epsilon, _FLOAT), float(gamma), int(iterations)
-            limit = _array(max_error, _FLOAT), self._model.window
-            pi = update(*self._memory[:2], *given, *limit, self._memory.counts)
+            given = _array(v_I, FLOAT), _array(epsilon, FLOAT), float(gamma), int(iterations)
+            pi = update(*state, *given, *self._velocity[:3])
         except (TypeError, ValueError):  # not three numbers
             pi = -1.0
         if pi < 0.0:
             check_velocity(v_I)
             check_bounds(numbers("epsilon", epsilon, (3,)), gamma, iterations)
-            check_sound(*self._memory[:2])
-            if not np.all(numbers("max_error", max_error, (3,)) > 0):
-                raise SurefootError("max_error: every one must be > 0 m/s")
+            check_sound(*state)
         return pi
 
     def run(
@@ -233,10 +199,9 @@ class InvariantFilter(NavigationFilter):
             check_bounds(velocities.epsilon, settings.gamma, settings.iterations)
         found = empty_estimates(imu.t, rows)
         pi = np.full(len(velocities.rows), np.nan)
-        window = windows_of(imu.t)
-        sums = empty_sums(window, 1)
-        share = _deviation_share(settings.gamma, self._model.window)
-        start = self._memory, self._model, self.t
+        sums, window = empty_sums(imu.t, 1)
+        share = _deviation_share(settings.gamma, self._velocity.window)
+        start = self._memory, self._velocity, self.t
         _run(imu, velocities, settings, *start, found, pi, window, sums.sums, share)
         self.t = float(imu.t[-1])
         done, updates = np.isfinite(pi), None
@@ -275,7 +240,7 @@ class PersistentFilter(InvariantFilter):
 
 @kernel
 def _run(
-    imu, velocities, settings, memory, model, before, found, values, window, sums, share
+    imu, velocities, settings, memory, measured, before, found, values, window, sums, share
 ):  # fmt: skip
     """Run a filter over rows of a log; values (M,) receive what each update returns.
 
@@ -284,7 +249,7 @@ def _run(
         velocities: Velocities.
         settings: CoverageSettings.
         memory: FilterMemory; a state with extras has a persistent part.
-        model: PersistentModel of it.
+        measured: VelocityMemory.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
         values: pi of coverage updates, squared distances of Gaussian ones.
@@ -292,42 +257,30 @@ def _run(
         sums: of the updates in each window, to fill (W, 1, 10).
         share: deviation of a measurement as a share of its bound, from `_deviation_share`.
     """
-    mean, P, noise, counts = memory.mean, memory.covariance, memory.noise, memory.counts
+    mean, P, noise = memory.mean, memory.covariance, memory.noise
     columns, coupling = memory.columns, memory.coupling
     gamma, iterations = settings.gamma, settings.iterations
     persistent = mean.shape[0] > EXTRA
-    limit = model.max_error if persistent else settings.max_error
-    note, R = np.empty((7, 3)), np.zeros((3, 3))
-    contacts = no_contacts()
-    m = out = w = 0
+    R, contacts = np.zeros((3, 3)), no_contacts()
+    m = out = 0
     for k in range(imu.t.shape[0]):
-        if k > 0 and window[k] != window[k - 1]:
-            w += 1
         if not np.isnan(before):
             dt = imu.t[k] - before
             propagate(mean, P, imu.gyro[k], imu.accel[k], dt, noise, columns, coupling)
             if persistent:
-                propagate_bias(mean, P, model, dt)
+                propagate_bias(mean, P, memory.prior, memory.time_constant, dt)
         before = imu.t[k]
         if m < velocities.rows.shape[0] and velocities.rows[m] == k:
             v_I = velocities.v_I[m]
-            rejected = counts[REJECTED]
             if velocities.epsilon.shape[0] > 0:
                 epsilon = velocities.epsilon[m]
                 for i in range(3):
                     R[i, i] = (share * epsilon[i]) ** 2
-                note_velocity(mean, P, contacts, v_I, R, note)
-                values[m] = update_coverage(
-                    mean, P, v_I, epsilon, gamma, iterations, limit, model.window, counts
-                )
+                values[m] = update_coverage(mean, P, v_I, epsilon, gamma, iterations, measured)
             else:
-                cov = velocities.cov[m]
-                note_velocity(mean, P, contacts, v_I, cov, note)
-                values[m] = update_velocity_unless_outlier(
-                    mean, P, v_I, cov, model.max_error, model.window, counts
-                )
-            # An outlier after too many in a row is used, but still counted.
-            add_velocity(sums[w, 0], note, counts[REJECTED] <= rejected)
+                copy_corner(velocities.cov[m], R)
+                values[m] = update_velocity(mean, P, contacts, v_I, R, measured)
+            add_velocity(sums[window[k], 0], measured, R)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
             copy_corner(mean, found.mean[out])

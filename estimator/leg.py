@@ -13,12 +13,11 @@ from surefoot.estimator.core.checks import (
     amounts,
     check_sound,
     check_step,
-    check_velocity,
     numbers,
     spd,
 )
 from surefoot.estimator.core.state import EXTRA, FilterNoise, NavState
-from surefoot.estimator.evaluation.innovation_sums import empty_sums, windows_of
+from surefoot.estimator.evaluation.innovation_sums import empty_sums
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -38,7 +37,7 @@ from surefoot.estimator.updates.contact import (
     update_contacts,
     update_contacts_checked,
 )
-from surefoot.estimator.updates.velocity import add_velocity, note_velocity, update_velocity
+from surefoot.estimator.updates.velocity import add_velocity, update_velocity, velocity_memory
 from surefoot.sim.common.copies import copy_corner
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import compiled, kernel
@@ -114,6 +113,8 @@ class LegFilter(NavigationFilter):
             raise SurefootError(f"slip_gate: {slip_gate} where a number > 0 is expected")
         self._model = ContactModel(noise.imu.packed(), *noise.packed(), radius, gate)
         self._memory = contact_memory(state.pack(feet), P)
+        self._contacts = feet
+        self._velocity = velocity_memory()
         self.t = np.nan
 
     def predict(
@@ -179,15 +180,6 @@ class LegFilter(NavigationFilter):
             spd(f"covariance of foot {k}", cov[k], 3)
         check_sound(self._memory.mean, self._memory.covariance)
 
-    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
-        """Gaussian update with a velocity (3,) [m/s] in I, as in
-        `InvariantFilter.update_velocity`.
-        """
-        v_I, cov = check_velocity(v_I), spd("cov", cov, 3)
-        check_sound(self._memory.mean, self._memory.covariance)
-        memory, feet = self._memory, len(self._model.radius)
-        return update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
-
     @property
     def contacts(self) -> dict[int, np.ndarray]:
         """Foot index -> estimated centre (3,) [m] in G of each standing foot."""
@@ -231,15 +223,15 @@ class LegFilter(NavigationFilter):
         found = empty_estimates(imu.t, rows)
         if len(legs.contact) != len(imu.t):
             raise SurefootError(f"feet_I: {len(legs.contact)} rows where t has {len(imu.t)}")
-        window = windows_of(imu.t)
-        sums = empty_sums(window, len(self._model.radius) + 1)
-        _run(imu, legs, velocities, self._memory, self._model, self.t, found, window, sums.sums)
+        sums, window = empty_sums(imu.t, len(self._model.radius) + 1)
+        start = self._memory, self._velocity, self._model, self.t
+        _run(imu, legs, velocities, *start, found, window, sums.sums)
         self.t = float(imu.t[-1])
         return trajectory(imu.t, found, innovations=sums)
 
 
 @kernel
-def _run(imu, legs, velocities, memory, model, before, found, window, sums):
+def _run(imu, legs, velocities, memory, measured, model, before, found, window, sums):
     """Run a leg filter over rows of a log.
 
     Args:
@@ -247,6 +239,7 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
         legs: LegSamples.
         velocities: Velocities with covariances.
         memory: ContactMemory.
+        measured: VelocityMemory.
         model: ContactModel.
         before: stamp of the row before the first [s], nan where there is none.
         found: Estimates to fill.
@@ -254,30 +247,24 @@ def _run(imu, legs, velocities, memory, model, before, found, window, sums):
         sums: sums to fill (W, K+1, 10).
     """
     feet = model.radius.shape[0]
-    note = np.empty((7, 3))
-    m = out = w = 0
+    m = out = 0
     for k in range(imu.t.shape[0]):
-        if k > 0 and window[k] != window[k - 1]:
-            copy_corner(memory.sums, sums[w])
-            memory.sums[:] = 0.0
-            w += 1
+        now = sums[window[k]]
         if not np.isnan(before):
             dt = imu.t[k] - before
             propagate_contacts(memory, model, imu.gyro[k], imu.accel[k], dt, legs.rates_I[k])
         before = imu.t[k]
-        update_contacts(memory, model.gate, legs.feet_I[k], legs.contact[k], legs.covariance[k])
+        feet_I, contact, covariance = legs.feet_I[k], legs.contact[k], legs.covariance[k]
+        update_contacts(memory, model.gate, feet_I, contact, covariance, now)
         if m < velocities.rows.shape[0] and velocities.rows[m] == k:
             v_I, cov = velocities.v_I[m], velocities.cov[m]
-            note_velocity(memory.mean, memory.covariance, feet, v_I, cov, note)
-            update_velocity(memory.mean, memory.covariance, feet, v_I, cov)
-            add_velocity(memory.sums[feet], note, True)
+            update_velocity(memory.mean, memory.covariance, feet, v_I, cov, measured)
+            add_velocity(now[feet], measured, cov)
             m += 1
         if out < found.rows.shape[0] and found.rows[out] == k:
             copy_corner(memory.mean, found.mean[out])
             copy_corner(memory.covariance, found.covariance[out])
             out += 1
-    copy_corner(memory.sums, sums[w])
-    memory.sums[:] = 0.0
 
 
 def encoder_covariance(jacobian_I: np.ndarray, encoder: float, kinematics: float) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from surefoot.estimator.core.lie import hats
+from surefoot.estimator.core.lie import hat
 from surefoot.estimator.evaluation.trajectory import Trajectory, TrajectoryError
 from surefoot.sim.common.series import rows_every
 
@@ -158,7 +158,7 @@ def transformed(trajectory: Trajectory, R: np.ndarray, p: np.ndarray) -> Traject
         A = np.eye(15)
         for k in range(3):
             A[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = R
-        A[6:9, :3] = hats(p) @ R
+        A[6:9, :3] = hat(p) @ R
         covariance = A @ covariance @ A.T
     return replace(
         trajectory,
@@ -224,7 +224,7 @@ def vector_jacobian(x: np.ndarray, at: int) -> np.ndarray:
     x (N, 3) is the velocity, whose error begins at column 3, or the position, at column 6.
     """
     J = np.zeros((len(x), 3, 9))
-    J[:, :, :3], J[:, :, at : at + 3] = -hats(x), np.eye(3)
+    J[:, :, :3], J[:, :, at : at + 3] = -hat(x), np.eye(3)
     return J
 
 

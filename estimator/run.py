@@ -8,12 +8,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from surefoot.estimator.core.checks import numbers, row_indices
+from surefoot.estimator.core.checks import (
+    check_sound,
+    check_velocity,
+    numbers,
+    row_indices,
+    spd,
+)
 from surefoot.estimator.core.state import B_A, B_G, NavState, P, V
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
+from surefoot.estimator.updates.velocity import (
+    UPDATE_VELOCITY,
+    VelocityMemory,
+    update_velocity_checked,
+)
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.kernels import compiled
 
+FLOAT = np.dtype(float)
+"""The type of numbers; `float` itself takes longer to convert to."""
 OUTPUT_PERIOD = 0.01
 """Default interval between stored estimates [s]."""
 
@@ -141,7 +155,8 @@ def state_parts(
 
 
 class NavigationFilter:
-    """What the filters have in common: the state that they carry from sample to sample.
+    """What the filters have in common: the state that they carry from sample to sample, and the
+    Gaussian update with a velocity.
 
     Attributes:
         t: stamp [s] of the last sample, NaN before the first; `run` continues from there.
@@ -149,6 +164,8 @@ class NavigationFilter:
 
     t: float
     _memory: Any  # FilterMemory or ContactMemory
+    _contacts: int = 0  # contact points in the state
+    _velocity: VelocityMemory
 
     @property
     def state(self) -> NavState:
@@ -159,3 +176,22 @@ class NavigationFilter:
     def covariance(self) -> np.ndarray:
         """Covariance (15, 15) of the error state, without extras (a copy)."""
         return self._memory.covariance[:15, :15].copy()
+
+    def update_velocity(self, v_I: np.ndarray, cov: np.ndarray) -> float:
+        """Gaussian update with v_I (3,) [m/s] in I and its covariance (3, 3), or in a
+        PersistentFilter that of its mixing error.
+
+        Returns the squared Mahalanobis distance of the innovation; nan where v_I was rejected as an
+        outlier.
+        """
+        update, state = compiled(update_velocity_checked, UPDATE_VELOCITY), self._memory[:2]
+        try:
+            given = np.ascontiguousarray(v_I, FLOAT), np.ascontiguousarray(cov, FLOAT)
+            distance = update(*state, self._contacts, *given, *self._velocity[:3])
+        except (TypeError, ValueError):  # not numbers of these shapes
+            distance = -1.0
+        if distance < 0.0:
+            check_velocity(v_I)
+            spd("cov", cov, 3)
+            check_sound(*state)
+        return distance

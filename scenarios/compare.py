@@ -145,7 +145,9 @@ def compare_log(
         observer, bounds = bounded_by(learnt)
         prediction = predict(observer, known, model)
         if log.has("reference"):
-            held[name] = coverage(bounded_errors(observer, bounds, known, model)[1], bounds)
+            assert model is not None  # whose joints the observer read
+            _, errors = bounded_errors(prediction, bounds, known, model.R_BI)
+            held[name] = coverage(errors, bounds)
             if words := _not_held(held[name], bounds.gamma):
                 missed.setdefault(words, []).append(name)
     notes = (*notes, *(f"bounds: {words} ({', '.join(names)})" for words, names in missed.items()))

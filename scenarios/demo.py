@@ -10,7 +10,7 @@ import pandas as pd
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import judged_prediction, prediction_errors
+from surefoot.models.observer.predict import judged, predict, prediction_errors
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.registry import LOSSES
 from surefoot.scenarios.compare import compare_log, write_comparison
@@ -175,7 +175,7 @@ def _observer_sections(log: Log, learnt: Learnt) -> list[Section]:
 
 def _learnt_row(log: Log, observer: Observer, bounds: Bounds) -> dict[str, object]:
     """An observer's errors on a walk, and how its bounds hold there."""
-    _, errors, covariance = judged_prediction(observer, log)
+    _, errors, covariance = judged(predict(observer, log), log)
     rms = np.sqrt((errors**2).mean(axis=0))
     held = coverage(bounds.relative(errors, observer.R_BI, covariance), bounds)
     epsilon = np.broadcast_to(bounds.epsilon_at(observer.R_BI, covariance), errors.shape)

@@ -48,20 +48,10 @@ def entire(x: float) -> tuple[float, float, float, float, float, float, float]:
     return e0, e1, e2, e3, e4, e5, e6
 
 
-@kernel
-def hat(phi):
-    """[phi]x (3, 3) of phi (3,): hat(a) @ b = a x b."""
-    out = np.zeros((3, 3))
-    out[0, 1], out[0, 2], out[1, 2] = -phi[2], phi[1], -phi[0]
-    out[1, 0], out[2, 0], out[2, 1] = phi[2], -phi[1], phi[0]
-    return out
-
-
-def hats(x: np.ndarray) -> np.ndarray:
-    """`hat` of each of x (..., 3): (..., 3, 3)."""
-    zero = np.zeros_like(x[..., 0])
-    a, b, c = x[..., 0], x[..., 1], x[..., 2]
-    rows = [[zero, -c, b], [c, zero, -a], [-b, a, zero]]
+def hat(phi: np.ndarray) -> np.ndarray:
+    """[phi]x (..., 3, 3) of phi (..., 3): hat(a) @ b = a x b."""
+    zero, (x, y, z) = np.zeros_like(phi[..., 0]), np.moveaxis(phi, -1, 0)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 

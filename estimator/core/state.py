@@ -100,9 +100,12 @@ def retract(mean, delta, contacts: int):
     _, e1, e2, e3, _, _, _ = entire(x * x + y * y + z * z)
     for c in range(3):
         _rotate(mean[0, c], mean[1, c], mean[2, c], x, y, z, e1, e2, mean[:3, c])
-    for k in range(1, 3 + contacts):
-        row = k + 2 if k < 3 else k + 4
-        at = 3 * k if k < 3 else 3 * k + 6
+    for row in range(V, mean.shape[0]):
+        at = 3 * (row - 2)
+        if B_A <= row < EXTRA or row >= EXTRA + contacts:  # a plain vector
+            for c in range(3):
+                mean[row, c] -= delta[at + c]
+            continue
         _rotate(mean[row, 0], mean[row, 1], mean[row, 2], x, y, z, e1, e2, mean[row])
         dx, dy, dz = -delta[at], -delta[at + 1], -delta[at + 2]
         ox, oy, oz = mean[row, 0], mean[row, 1], mean[row, 2]
@@ -110,12 +113,6 @@ def retract(mean, delta, contacts: int):
         mean[row, 0] += ox
         mean[row, 1] += oy
         mean[row, 2] += oz
-    for row in (B_A, B_G):
-        for c in range(3):
-            mean[row, c] -= delta[3 * (row - 2) + c]
-    for row in range(EXTRA + contacts, mean.shape[0]):
-        for c in range(3):
-            mean[row, c] -= delta[3 * (row - 2) + c]
 
 
 @kernel

@@ -39,10 +39,10 @@ def windows_of(t: np.ndarray) -> np.ndarray:
     return np.floor(t / SUM_WINDOW).astype(np.int64)
 
 
-def empty_sums(window: np.ndarray, sensors: int) -> InnovationSums:
-    """Empty sums for the windows of successive rows (N,)."""
-    start = window[np.r_[True, np.diff(window) != 0]] if len(window) else window
-    return InnovationSums(start * SUM_WINDOW, np.zeros((len(start), sensors, 10)))
+def empty_sums(t: np.ndarray, sensors: int) -> tuple[InnovationSums, np.ndarray]:
+    """Empty sums for successive rows at t (N,) [s], and the index of each row's window (N,)."""
+    start, window = np.unique(windows_of(t), return_inverse=True)
+    return InnovationSums(start * SUM_WINDOW, np.zeros((len(start), sensors, 10))), window
 
 
 @kernel

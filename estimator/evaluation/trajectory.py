@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from surefoot.estimator.core.lie import hats
+from surefoot.estimator.core.lie import hat
 from surefoot.estimator.evaluation.innovation_sums import InnovationSums
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
@@ -94,13 +94,12 @@ class Trajectory:
 
     def __post_init__(self):
         n = len(self.t)
-        wanted = {"R_GI": (n, 3, 3), "covariance": (n, 15, 15), "t": (n,)}
-        for name in ("t", "R_GI", *_VECTORS, "covariance"):
+        shapes = {"t": (n,), "R_GI": (n, 3, 3)} | dict.fromkeys(_VECTORS, (n, 3))
+        for name, wanted in (shapes | {"covariance": (n, 15, 15)}).items():
             value = getattr(self, name)
-            if value is not None and np.shape(value) != wanted.get(name, (n, 3)):
+            if value is not None and np.shape(value) != wanted:
                 raise TrajectoryError(
-                    f"trajectory: {name} has shape {np.shape(value)}, "
-                    f"not {wanted.get(name, (n, 3))}"
+                    f"trajectory: {name} has shape {np.shape(value)}, not {wanted}"
                 )
 
     @property
@@ -272,7 +271,7 @@ def with_mounting(estimate: Trajectory, std: float) -> Trajectory:
         return estimate
     D = std**2 * estimate.R_GI @ ACROSS @ np.swapaxes(estimate.R_GI, 1, 2)
     unit = np.broadcast_to(np.eye(3), D.shape)
-    J = np.concatenate([unit, hats(estimate.v_GI), hats(estimate.p_GI)], axis=1)
+    J = np.concatenate([unit, hat(estimate.v_GI), hat(estimate.p_GI)], axis=1)
     covariance = estimate.covariance.copy()
     covariance[:, :9, :9] += J @ D @ np.swapaxes(J, 1, 2)
     return replace(estimate, covariance=covariance)

@@ -5,30 +5,9 @@ distance is strictly convex, so the nearest feasible candidate is the minimum. F
 conditioning, one axis at a time, without an inverse.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from surefoot.sim.common.kernels import kernel
-
-
-class Gaussian2(NamedTuple):
-    """N([m0, m1], [[v0, c], [c, v1]])."""
-
-    m0: float
-    m1: float
-    v0: float
-    c: float
-    v1: float
-
-
-class Rectangle(NamedTuple):
-    """[lower0, upper0] x [lower1, upper1]."""
-
-    lower0: float
-    upper0: float
-    lower1: float
-    upper1: float
 
 
 @kernel
@@ -43,7 +22,12 @@ def remaining(variance: float, c: float, other: float) -> float:
 
 @kernel
 def nearest_in_rectangle(gaussian, rectangle):
-    """Squared distance of a Gaussian2 to a Rectangle, and the point (two numbers)."""
+    """Squared distance of a Gaussian to a rectangle, and the nearest point (two numbers).
+
+    Args:
+        gaussian: (m0, m1, v0, c, v1), those of N([m0, m1], [[v0, c], [c, v1]]).
+        rectangle: (l0, u0, l1, u1), lower and upper bounds of the two axes.
+    """
     m0, m1, v0, c, v1 = gaussian
     l0, u0, l1, u1 = rectangle
     best, x0, x1 = np.inf, m0, m1
@@ -70,14 +54,14 @@ def nearest_in_rectangle(gaussian, rectangle):
 def nearest_given_first(x0: float, C, lower, upper):
     """Squared distance of the zero-mean Gaussian C (3, 3) to the box with x[0] fixed, and x[1:]."""
     b1, b2 = C[0, 1] / C[0, 0], C[0, 2] / C[0, 0]
-    given = Gaussian2(
+    given = (
         b1 * x0,
         b2 * x0,
         remaining(C[1, 1], C[0, 1], C[0, 0]),
         C[1, 2] - b1 * C[0, 2],
         remaining(C[2, 2], C[0, 2], C[0, 0]),
     )
-    rectangle = Rectangle(lower[1], upper[1], lower[2], upper[2])
+    rectangle = lower[1], upper[1], lower[2], upper[2]
     distance, x1, x2 = nearest_in_rectangle(given, rectangle)
     return distance + x0 * x0 / C[0, 0], x1, x2
 
@@ -87,8 +71,8 @@ def nearest_in_box(C, lower, upper, point) -> float:
     """Squared distance of the zero-mean Gaussian C (3, 3) to the box; fills the nearest point
     (3,).
     """
-    others = Gaussian2(0.0, 0.0, C[1, 1], C[1, 2], C[2, 2])
-    rectangle = Rectangle(lower[1], upper[1], lower[2], upper[2])
+    others = 0.0, 0.0, C[1, 1], C[1, 2], C[2, 2]
+    rectangle = lower[1], upper[1], lower[2], upper[2]
     best, x1, x2 = nearest_in_rectangle(others, rectangle)
     # Axis 0 free: at its conditional mean, by conditioning on the other two in turn.
     b = C[1, 2] / C[1, 1]

@@ -5,7 +5,6 @@ short polynomial, to 15 digits.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import erfcx
@@ -120,30 +119,6 @@ def _by_quadrature(near: float, length: float, origin: float, sign: float):
     return 0.5 * origin * origin, m0 * length, sign * m1 * length, m2 * length, sign * origin
 
 
-class Conditional2(NamedTuple):
-    """Axis 1 is N(m1, s1^2); axis 2 given it N(m2 + slope (x1 - m1), s2^2)."""
-
-    m1: float
-    m2: float
-    s1: float
-    slope: float
-    s2: float
-
-
-class About(NamedTuple):
-    """Origin and scale of moments on a rectangle.
-
-    (c1, c2) is the origin; x1 is axis 1 of the rectangle's nearest point; densities are
-    exp(log_scale - distance^2 / 2), and are neglected below exp(-depth) of the largest.
-    """
-
-    c1: float
-    c2: float
-    x1: float
-    log_scale: float
-    depth: float
-
-
 @kernel(error_model="numpy")
 def plane_moments(gaussian, rectangle, about, out):
     """Scaled moments of a two-dimensional Gaussian on a rectangle, into out (6,).
@@ -152,9 +127,12 @@ def plane_moments(gaussian, rectangle, about, out):
     the bounds of one axis lie outside the relevant range, only the other axis is integrated.
 
     Args:
-        gaussian: Conditional2.
-        rectangle: Rectangle of axes 1 and 2.
-        about: About.
+        gaussian: (m1, m2, s1, slope, s2): axis 1 is N(m1, s1^2), and axis 2 given it N(m2 + slope
+            (x1 - m1), s2^2).
+        rectangle: (l1, u1, l2, u2), bounds of axes 1 and 2.
+        about: (c1, c2, x1, log_scale, depth): origin (c1, c2) of the moments; x1 is axis 1 of the
+            rectangle's nearest point; densities are exp(log_scale - distance^2 / 2), and are
+            neglected below exp(-depth) of the largest.
         out: to fill.
     """
     m1, m2, s1, slope, s2 = gaussian

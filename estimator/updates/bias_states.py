@@ -35,7 +35,6 @@ window has.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -50,19 +49,6 @@ BIAS, WINDOW_ERROR, COURSE_BIAS = EXTRA, EXTRA + 1, EXTRA + 2
 """Their rows of the packed mean."""
 BIAS_AT, WINDOW_AT, COURSE_AT = 15, 18, 21
 """Offsets of their errors in the covariance."""
-
-
-class PersistentModel(NamedTuple):
-    """`PersistentError` in the form that the kernels take."""
-
-    covariance: np.ndarray
-    time_constant: float
-    window: int
-    max_error: np.ndarray
-
-
-NOT_PERSISTENT = PersistentModel(np.zeros((3, 3)), np.inf, 1, np.full(3, np.inf))
-"""Argument of the kernels for a filter without a persistent part."""
 
 
 @dataclass(frozen=True)
@@ -107,19 +93,21 @@ class PersistentError:
         P[bias, course] = P[course, bias] = P[course, course] = self.course
         return P
 
-    def model(self) -> PersistentModel:
-        """The same in the form that the kernels take."""
-        return PersistentModel(
-            self.covariance, float(self.time_constant), int(self.window), self.max_error
-        )
-
 
 @kernel
-def propagate_bias(mean, covariance, model, dt: float):
-    """Propagate b_p over dt [s], in place, with its PersistentModel."""
-    if model.time_constant == np.inf:
+def propagate_bias(mean, covariance, prior, time_constant: float, dt: float):
+    """Propagate b_p in place.
+
+    Args:
+        mean: packed state (7+EXTRAS, 3).
+        covariance: of its error (24, 24).
+        prior: covariance of b_p about c (3, 3) [m^2/s^2].
+        time_constant: of b_p [s], may be inf.
+        dt: the step [s].
+    """
+    if time_constant == np.inf:
         return
-    keep = np.exp(-dt / model.time_constant)
+    keep = np.exp(-dt / time_constant)
     for i in range(3):
         mean[BIAS, i] = keep * mean[BIAS, i] + (1.0 - keep) * mean[COURSE_BIAS, i]
         for j in range(covariance.shape[0]):
@@ -131,7 +119,7 @@ def propagate_bias(mean, covariance, model, dt: float):
             covariance[j, BIAS_AT + i] += (1.0 - keep) * covariance[j, COURSE_AT + i]
     for i in range(3):
         for j in range(3):
-            covariance[BIAS_AT + i, BIAS_AT + j] += (1.0 - keep * keep) * model.covariance[i, j]
+            covariance[BIAS_AT + i, BIAS_AT + j] += (1.0 - keep * keep) * prior[i, j]
 
 
 @kernel

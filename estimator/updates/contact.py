@@ -97,8 +97,6 @@ class ContactMemory(NamedTuple):
             UNPROVEN (2,).
         rates: of the feet at the last prediction (K, 3) [rad/s], NaN before the first.
         biases: b_a and b_g at the start (2, 3).
-        sums: of the feet and of velocities, see `surefoot.estimator.evaluation.innovation_sums`
-            (K+1, 10).
     """
 
     mean: np.ndarray
@@ -112,7 +110,6 @@ class ContactMemory(NamedTuple):
     clock: np.ndarray
     rates: np.ndarray
     biases: np.ndarray
-    sums: np.ndarray
 
 
 SINCE, UNPROVEN = 0, 1
@@ -134,7 +131,6 @@ def contact_memory(mean: np.ndarray, covariance: np.ndarray) -> ContactMemory:
         clock=np.zeros(2),
         rates=np.full((feet, 3), np.nan),
         biases=mean[[B_A, B_G]],
-        sums=np.zeros((feet + 1, 10)),
     )
 
 
@@ -194,7 +190,7 @@ def propagate_contacts(memory, model, gyro, accel, dt: float, rates):
     memory.clock[SINCE] += dt
 
 
-_ARRAYS = (*4 * (OWN_2,), types.boolean[::1], OWN_2, *3 * (OWN_1,), *3 * (OWN_2,))
+_ARRAYS = (*4 * (OWN_2,), types.boolean[::1], OWN_2, *3 * (OWN_1,), *2 * (OWN_2,))
 _MEMORY = types.NamedTuple(_ARRAYS, ContactMemory)
 _MODEL = types.NamedTuple((OWN_2, OWN_1, types.float64, OWN_1, types.float64), ContactModel)
 PREDICT_CONTACTS = types.boolean(_MEMORY, _MODEL, OWN_1, OWN_1, types.float64, OWN_2)
@@ -250,12 +246,13 @@ def update_contacts_checked(memory, gate: float, feet_I, in_contact, measurement
             return False
     if not is_sound(memory.mean, memory.covariance):
         return False
-    update_contacts(memory, gate, feet_I, in_contact, measurement_cov)
+    unread = np.zeros((feet, 10))
+    update_contacts(memory, gate, feet_I, in_contact, measurement_cov, unread)
     return True
 
 
 @kernel
-def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
+def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov, sums):
     """Remove lifted feet, update with the standing ones and insert new ones, in place.
 
     A foot found slipping (see `_slips`) leaves the state and stays out for HOLD, or until it lifts
@@ -268,6 +265,8 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
         feet_I: centres of the feet (K, 3) [m] in I.
         in_contact: (K,) bool.
         measurement_cov: of feet_I (K, 3, 3) [m^2].
+        sums: of each foot's innovations, to add to (K or more, 10), see
+            `surefoot.estimator.evaluation.innovation_sums`.
     """
     mean, covariance, standing = memory.mean, memory.covariance, memory.standing
     held, passed, feet = memory.held, memory.passed, memory.standing.shape[0]
@@ -294,7 +293,7 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
             held[k] = HOLD
         else:
             distance = gaussian_update(mean, covariance, feet, PHt, S, residual, measurement_cov[k])
-            add_innovation(memory.sums[k], distance, residual, S, measurement_cov[k])
+            add_innovation(sums[k], distance, residual, S, measurement_cov[k])
             passed[k] += since
             believed |= passed[k] > PROVEN
     if believed:
@@ -304,14 +303,14 @@ def update_contacts(memory, gate: float, feet_I, in_contact, measurement_cov):
     if memory.clock[UNPROVEN] > WAY_BACK and np.any(held > 0.0):
         memory.clock[UNPROVEN] = 0.0
         for k in range(feet):
-            memory.sums[k, RESTARTED] += in_contact[k]
+            sums[k, RESTARTED] += in_contact[k]
             held[k] = 0.0
             if standing[k]:
                 _remove(memory, k)
         _reopen(mean, covariance, memory.biases)
     for k in range(feet):
         if held[k] > 0.0:
-            memory.sums[k, LEFT_OUT] += 1.0
+            sums[k, LEFT_OUT] += 1.0
         elif in_contact[k] and not standing[k]:
             _insert(mean, covariance, k, feet_I[k], measurement_cov[k])
             standing[k] = True
@@ -439,17 +438,12 @@ def _insert(mean, covariance, k: int, foot_I, measurement_cov):
         measurement_cov: (3, 3) [m^2], its covariance in I.
     """
     at = 15 + 3 * k
-    n = covariance.shape[0]
     for i in range(3):
         mean[EXTRA + k, i] = mean[P, i]
         for m in range(3):
             mean[EXTRA + k, i] += mean[i, m] * foot_I[m]
-    for i in range(3):
-        for j in range(n):
-            covariance[at + i, j] = covariance[6 + i, j]
-    for i in range(3):
-        for j in range(n):
-            covariance[j, at + i] = covariance[j, 6 + i]
+    copy_corner(covariance[6:9], covariance[at : at + 3])
+    copy_corner(covariance[:, 6:9], covariance[:, at : at + 3])
     for i in range(3):
         for j in range(3):
             for a in range(3):

@@ -36,13 +36,14 @@ from surefoot.estimator.core.state import EXTRA
 from surefoot.estimator.updates.bias_states import accumulate_window, restart_window, window_output
 from surefoot.estimator.updates.velocity import (
     GATHERED,
-    MOST_REJECTED,
+    LIMITS,
+    VelocityMemory,
     is_outlier,
     lift,
     no_contacts,
     velocity_output,
 )
-from surefoot.sim.common.copies import copy_corner
+from surefoot.sim.common.copies import copy_corner, copy_row
 from surefoot.sim.common.kernels import GIVEN_1, OWN_2, kernel
 
 FLOOR = 1e-6
@@ -73,9 +74,7 @@ def posterior_moments(mean, cov, lower, upper, gamma: float, mean_plus, cov_plus
 
 
 @kernel(inline="always")
-def update_coverage(
-    mean, covariance, v_I, epsilon, gamma: float, iterations: int, max_error, window: int, counts
-) -> float:
+def update_coverage(mean, covariance, v_I, epsilon, gamma: float, iterations: int, memory) -> float:
     """Algorithm 1 of the paper on the packed state, in place; returns pi of the prior, nan for an
     outlier.
 
@@ -91,22 +90,22 @@ def update_coverage(
         epsilon: (3,) [m/s], its bounds or, of a window, those of the mean mixing error.
         gamma: their JOINT level, P(|v_I - v_I true| <= epsilon) >= gamma.
         iterations: of projection and matching; once in the paper.
-        max_error: beyond which an error is an outlier (3,) [m/s].
-        window: number of measurements in a window, of a state with a persistent part.
-        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
+        memory: VelocityMemory.
     """
     n, contacts = covariance.shape[0], no_contacts()
     persistent = mean.shape[0] > EXTRA
     PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
     velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, max_error, window if persistent else MOST_REJECTED, counts):
+    copy_corner(S, memory.innovation[:3])
+    copy_row(residual, memory.innovation[3])
+    if is_outlier(S, residual, memory):
         return np.nan
     if persistent:
-        accumulate_window(mean, covariance, PHt, S, residual, 1.0 / window)
-        counts[GATHERED] += 1
-        if counts[GATHERED] < window:
+        accumulate_window(mean, covariance, PHt, S, residual, 1.0 / memory.window)
+        memory.counts[GATHERED] += 1
+        if memory.counts[GATHERED] < memory.window:
             return np.nan
-        counts[GATHERED] = 0
+        memory.counts[GATHERED] = 0
         window_output(mean, covariance, PHt, S, residual)
     z_mean, z_cov = np.zeros(3), np.empty((3, 3))
     pi = projected(S, residual, epsilon, gamma, iterations, z_mean, z_cov)
@@ -118,8 +117,7 @@ def update_coverage(
 
 
 UPDATE_COVERAGE = types.float64(
-    *(OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64),
-    *(GIVEN_1, types.int64, types.int64[::1]),
+    *(OWN_2, OWN_2, GIVEN_1, GIVEN_1, types.float64, types.int64, *LIMITS)
 )
 """Signature of `update_coverage_checked`."""
 
@@ -139,19 +137,18 @@ def update_coverage_checked(
         epsilon: bounds (3,) [m/s].
         gamma: their joint level.
         iterations: of the projection.
-        max_error: beyond which an error is an outlier (3,) [m/s].
-        window: number of measurements in a window, of a state with a persistent part.
-        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
+        max_error: of the VelocityMemory, as are window and counts.
+        window: likewise.
+        counts: likewise.
     """
     if not is_bounded(v_I, epsilon, gamma, iterations) or not is_sound(mean, covariance):
         return -1.0
-    if max_error.shape[0] != 3 or not (max_error[0] > 0 and max_error[1] > 0 and max_error[2] > 0):
-        return -1.0
-    given = np.empty((3, 3))
-    for i in range(3):
-        given[0, i], given[1, i], given[2, i] = v_I[i], epsilon[i], max_error[i]
-    v, bounds, limit = given[0], given[1], given[2]
-    return update_coverage(mean, covariance, v, bounds, gamma, iterations, limit, window, counts)
+    given = np.empty((6, 3))
+    v, bounds = given[0], given[1]
+    copy_row(v_I, v)
+    copy_row(epsilon, bounds)
+    memory = VelocityMemory(max_error, window, counts, given[2:])
+    return update_coverage(mean, covariance, v, bounds, gamma, iterations, memory)
 
 
 @kernel(inline="always")

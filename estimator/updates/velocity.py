@@ -17,6 +17,8 @@ explains it by an error within max_error, unless this continues: then the estima
 goes beyond the paper.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import types
 
@@ -28,8 +30,6 @@ from surefoot.sim.common.kernels import GIVEN_1, GIVEN_2, OWN_1, OWN_2, kernel
 
 SIGMAS = 3.3
 """Deviations of the estimate that are allowed before a measurement is an outlier."""
-MOST_REJECTED = 25
-"""Largest number of measurements rejected in a row by a filter without a window."""
 UNLIMITED = np.full(3, np.inf)
 """A max_error that rejects nothing."""
 LEAST_RELATIVE_NOISE = 1e-8
@@ -42,29 +42,45 @@ result stays definite, and at most a ten-thousandth of its value.
 """
 
 GATHERED, REJECTED = 0, 1
-"""Indices into a filter's counts (2,): measurements in the window so far, and rejected in a row."""
+"""Indices into `VelocityMemory.counts`: measurements in the window so far, and rejected in a row.
+"""
 
 
-def fresh_counts() -> np.ndarray:
-    """Counts (2,) of a filter without measurements."""
-    return np.zeros(2, dtype=np.int64)
+class VelocityMemory(NamedTuple):
+    """State of a filter's velocity updates, and the sizes that they depend on.
+
+    Attributes:
+        max_error: error (3,) [m/s] beyond which a measurement is an outlier.
+        window: number of measurements in a window; as many are rejected in a row at most.
+        counts: (2,), see GATHERED and REJECTED, in place.
+        innovation: (4, 3), in place: H Sigma H^T of the last measurement, and its residual.
+    """
+
+    max_error: np.ndarray
+    window: int
+    counts: np.ndarray
+    innovation: np.ndarray
+
+
+def velocity_memory(max_error: np.ndarray = UNLIMITED, window: int = 1) -> VelocityMemory:
+    """Memory of a filter without measurements."""
+    return VelocityMemory(max_error, window, np.zeros(2, dtype=np.int64), np.zeros((4, 3)))
 
 
 @kernel
-def is_outlier(S, residual, max_error, most: int, counts) -> bool:
-    """Whether to reject a measurement; updates `counts`.
+def is_outlier(S, residual, memory) -> bool:
+    """Whether to reject a measurement; updates the counts of the VelocityMemory.
 
     Args:
         S: prior covariance (3, 3) of the measured velocity, [m^2/s^2].
         residual: measured minus predicted (3,) [m/s].
-        max_error: largest error of a measurement (3,) [m/s].
-        most: number rejected in a row, after which a measurement is accepted.
-        counts: of the filter (2,), see GATHERED and REJECTED.
+        memory: of the filter.
     """
+    counts = memory.counts
     for i in range(3):
-        if abs(residual[i]) > max_error[i] + SIGMAS * np.sqrt(S[i, i]):
+        if abs(residual[i]) > memory.max_error[i] + SIGMAS * np.sqrt(S[i, i]):
             counts[REJECTED] += 1
-            return counts[REJECTED] <= most
+            return counts[REJECTED] <= memory.window
     counts[REJECTED] = 0
     return False
 
@@ -121,57 +137,36 @@ def velocity_output(mean, covariance, contacts: int, v_I, PHt, S, residual):
 
 
 @kernel
-def note_velocity(mean, covariance, contacts: int, v_I, measurement_cov, note):
-    """Innovation of a velocity measurement before its update, for the record of innovations.
+def add_velocity(sums, memory, measurement_cov):
+    """Add the last measurement to its sensor's sums (10,), in place.
+
+    An outlier after too many in a row was used, but still counts as left out.
 
     Args:
-        mean: (7+E, 3), the packed mean.
-        covariance: (n, n), n = 15+3E.
-        contacts: number of contact points in the state.
-        v_I: (3,) [m/s], measured velocity of the IMU in I.
-        measurement_cov: (3, 3) [m^2/s^2], its covariance R.
-        note: (7, 3), filled with the residual, S and R, in rows 0, 1 to 3 and 4 to 6.
+        sums: of the sensor (10,).
+        memory: VelocityMemory.
+        measurement_cov: (3, 3) [m^2/s^2], covariance R of the measurement.
     """
-    persistent = EXTRA + contacts < mean.shape[0]
-    at = 15 + 3 * contacts
-    residual, S = note[0], note[1:4]
-    for j in range(3):
-        residual[j] = v_I[j] - (mean[EXTRA + contacts, j] if persistent else 0.0)
-        for m in range(3):
-            residual[j] -= mean[m, j] * mean[V, m]
-        for k in range(3):
-            total = covariance[at + j, at + k] if persistent else 0.0
-            for m in range(3):
-                row = 0.0
-                for n in range(3):
-                    row += covariance[3 + m, 3 + n] * mean[n, k]
-                total += mean[m, j] * row
-                if persistent:
-                    total += mean[m, j] * covariance[3 + m, at + k]
-                    total += covariance[at + j, 3 + m] * mean[m, k]
-            S[j, k] = total
-            note[4 + j, k] = measurement_cov[j, k]
-
-
-@kernel
-def add_velocity(sums, note, used: bool):
-    """Add the innovation of `note_velocity` to its sensor's sums (10,), in place.
-
-    used: False where the update was rejected.
-    """
-    if not used:
+    if memory.counts[REJECTED] > 0:
         sums[LEFT_OUT] += 1.0
         return
+    S, residual = memory.innovation[:3], memory.innovation[3]
     work = np.empty((2, 3, 3))
     for i in range(3):
         for j in range(3):
-            work[0, i, j] = note[1 + i, j] + note[4 + i, j]
+            work[0, i, j] = S[i, j] + measurement_cov[i, j]
     inverse_3(work[0], work[1])
-    distance = 0.0
+    add_innovation(sums, squared_size(residual, work[1]), residual, S, measurement_cov)
+
+
+@kernel
+def squared_size(x, information) -> float:
+    """Squared Mahalanobis length of x (3,), by the inverse (3, 3) of its covariance."""
+    total = 0.0
     for i in range(3):
         for j in range(3):
-            distance += note[0, i] * work[1, i, j] * note[0, j]
-    add_innovation(sums, distance, note[0], note[1:4], note[4:7])
+            total += x[i] * information[i, j] * x[j]
+    return total
 
 
 @kernel
@@ -245,27 +240,6 @@ def lift(mean, covariance, contacts: int, PHt, S, z_mean, z_cov):
 
 
 @kernel(inline="always")
-def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov) -> float:
-    """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
-
-    Returns the squared Mahalanobis distance of the innovation. In output space the posterior of z
-    is N(S (S+R)^-1 r, S (S+R)^-1 R), which is lifted to the state as in the coverage update.
-
-    Args:
-        mean: (7+E, 3), the packed mean.
-        covariance: (15+3E, 15+3E).
-        contacts: number of contact points in the state.
-        v_I: (3,) [m/s], measured velocity of the IMU in I.
-        measurement_cov: (3, 3) [m^2/s^2], its covariance R.
-    """
-    n = covariance.shape[0]
-    work = np.empty((n + 4, 3))
-    PHt, S, residual = work[:n], work[n : n + 3], work[n + 3]
-    velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
-
-
-@kernel(inline="always")
 def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measurement_cov) -> float:
     """Kalman update for z = H delta X, in place.
 
@@ -296,66 +270,64 @@ def gaussian_update(mean, covariance, contacts: int, PHt, S, residual, measureme
     if exact:
         for i in range(before.shape[0]):
             covariance[i, i] += ROUNDING * before[i]
-    distance = 0.0
-    for i in range(3):
-        for j in range(3):
-            distance += residual[i] * information[i, j] * residual[j]
-    return distance
+    return squared_size(residual, information)
 
 
 @kernel
-def update_velocity_unless_outlier(
-    mean, covariance, v_I, measurement_cov, max_error, most: int, counts
-) -> float:
-    """`update_velocity` of a state without contacts, which may have a persistent part; nan, with
-    the state unchanged, for an outlier.
+def update_velocity(mean, covariance, contacts: int, v_I, measurement_cov, memory) -> float:
+    """Right-invariant EKF update of the packed state, in place (Hartley 2020, eq. 20).
+
+    Returns the squared Mahalanobis distance of the innovation; nan, with the state unchanged, for
+    an outlier. In output space the posterior of z is N(S (S+R)^-1 r, S (S+R)^-1 R), which is lifted
+    to the state as in the coverage update.
 
     Args:
         mean: (7+E, 3), the packed mean.
         covariance: (15+3E, 15+3E).
+        contacts: number of contact points in the state.
         v_I: (3,) [m/s], measured velocity of the IMU in I.
         measurement_cov: (3, 3) [m^2/s^2], its covariance R or, with a persistent part, that of its
             mixing error.
-        max_error: beyond which an error is an outlier (3,) [m/s].
-        most: number rejected in a row, after which a measurement is accepted.
-        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
+        memory: VelocityMemory.
     """
-    contacts, n = no_contacts(), covariance.shape[0]
-    PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
+    S, residual = memory.innovation[:3], memory.innovation[3]
+    PHt = np.empty((covariance.shape[0], 3))
     velocity_output(mean, covariance, contacts, v_I, PHt, S, residual)
-    if is_outlier(S, residual, max_error, most, counts):
+    if is_outlier(S, residual, memory):
         return np.nan
     return gaussian_update(mean, covariance, contacts, PHt, S, residual, measurement_cov)
 
 
-UPDATE_VELOCITY = types.float64(
-    OWN_2, OWN_2, GIVEN_1, GIVEN_2, OWN_1, types.int64, types.int64[::1]
-)
+LIMITS = OWN_1, types.int64, types.int64[::1]
+"""Types of the first three of a VelocityMemory: a whole one would cost a microsecond in a call."""
+UPDATE_VELOCITY = types.float64(OWN_2, OWN_2, types.int64, GIVEN_1, GIVEN_2, *LIMITS)
 """Signature of `update_velocity_checked`."""
 
 
 @kernel
 def update_velocity_checked(
-    mean, covariance, v_I, measurement_cov, max_error, most: int, counts
+    mean, covariance, contacts: int, v_I, measurement_cov, max_error, window: int, counts
 ) -> float:
-    """`update_velocity_unless_outlier` for a robot's own loop, in one call.
+    """`update_velocity` for a robot's own loop, in one call.
 
     Checks measurement and state; returns -1, with nothing changed, if they fail.
 
     Args:
         mean: (7+E, 3), the packed mean.
         covariance: (15+3E, 15+3E).
+        contacts: number of contact points in the state.
         v_I: (3,) [m/s] in I, within MOST_SPEED.
         measurement_cov: (3, 3) [m^2/s^2], positive definite.
-        max_error: beyond which an error is an outlier (3,) [m/s].
-        most: number rejected in a row, after which a measurement is accepted.
-        counts: of the filter (2,), see `surefoot.estimator.updates.velocity`.
+        max_error: of the VelocityMemory, as are window and counts.
+        window: likewise.
+        counts: likewise.
     """
     if v_I.shape[0] != 3 or measurement_cov.shape != (3, 3) or not all_within(v_I, MOST_SPEED):
         return -1.0
-    given = np.empty((4, 3))
+    given = np.empty((8, 3))
     R, v = given[:3], given[3]
     if not symmetric_definite(measurement_cov, R) or not is_sound(mean, covariance):
         return -1.0
     copy_row(v_I, v)
-    return update_velocity_unless_outlier(mean, covariance, v, R, max_error, most, counts)
+    memory = VelocityMemory(max_error, window, counts, given[4:])
+    return update_velocity(mean, covariance, contacts, v, R, memory)

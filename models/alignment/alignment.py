@@ -23,6 +23,7 @@ from surefoot.models.alignment.least_squares import (
 )
 from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, guesses_from_rotation
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.files import plain_json
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
 from surefoot.sim.importing.columns import map_line
@@ -156,9 +157,8 @@ class Alignment(Placement):
 
     def as_dict(self) -> dict[str, Any]:
         """The result as plain JSON types, in SI units."""
-        numbers = {k: v for k, v in vars(self).items() if k not in ("fitted", "faults", "R_IM")}
-        values = {name: np.asarray(x).tolist() for name, x in numbers.items()}
-        return {**values, "q_IM": self.q_IM.tolist(), "faults": list(self.faults)}
+        values = {k: v for k, v in vars(self).items() if k not in ("fitted", "R_IM")}
+        return plain_json(values | {"q_IM": self.q_IM})
 
 
 def align(

@@ -163,10 +163,9 @@ def placement_residual(
     gyro, accel = readings.gyro - at.bias_gyro, readings.accel - at.bias_accel
     beside = compare_with_imu(readings.t, gyro, accel, mounted)
     R_GI = beside.R_GI
-    sparse = _FEWEST * float(np.median(np.diff(poses.t)))
-    _, rate, _ = local_quadratic(mounted.t, beside.turn, max(_TURN_WINDOW, sparse))
+    _, rate, _ = local_quadratic(mounted.t, beside.turn, _window(poses.t, _TURN_WINDOW))
     path = np.hstack([beside.path, R_GI.reshape(-1, 9)])
-    _, _, bend = local_quadratic(mounted.t, path, max(_PATH_WINDOW, sparse))
+    _, _, bend = local_quadratic(mounted.t, path, _window(poses.t))
     lever = bend[:, 3:].reshape(-1, 3, 3)
     gravity = GRAVITY * np.append(at.tilt, 0.0)
     acceleration = bend[:, :3] - lever @ at.p_IM - gravity
@@ -186,8 +185,7 @@ def specific_forces(readings: Readings, at: Placement) -> tuple[np.ndarray, np.n
     for part in readings.sections(at.offset):
         rows, lever, R_GI = placement_residual(part, at)
         t = part.poses.t
-        sparse = _FEWEST * float(np.median(np.diff(t)))
-        bend = local_quadratic(t, part.poses.p, max(_PATH_WINDOW, sparse))[2] - GRAVITY_G
+        bend = local_quadratic(t, part.poses.p, _window(t))[2] - GRAVITY_G
         moved = np.einsum("kji,kj->ki", R_GI, bend)
         around = (t > t[0] + _PATH_WINDOW) & (t < t[-1] - _PATH_WINDOW)
         found.append(((moved - rows[:, 3:])[around], moved[around], lever[around]))
@@ -277,6 +275,11 @@ def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
     return best, [k for k in range(len(fits)) if k != best and is_as_good(k)]
 
 
+def _window(t: np.ndarray, least: float = _PATH_WINDOW) -> float:
+    """Window of the fits to samples at t (K,) [s], longer than the least for a sparse reference."""
+    return max(least, _FEWEST * float(np.median(np.diff(t))))
+
+
 def _spread(residual: np.ndarray) -> float:
     """Robust standard deviation of residuals."""
     return float(1.4826 * np.median(np.abs(residual)) + 1e-12)
@@ -296,7 +299,7 @@ def _linearised(readings: Readings, at: Placement) -> tuple[np.ndarray, np.ndarr
     columns[:, 3:, 10:13] = lever
     columns[:, 3:, 13:15] = -GRAVITY * np.swapaxes(R_GI, 1, 2)[:, :, :2]
     t = readings.poses.t
-    window = max(_PATH_WINDOW, _FEWEST * float(np.median(np.diff(t))))
+    window = _window(t)
     around = [np.searchsorted(t, t + sign * window / 2) for sign in (-1, 1)]
     enough = around[1] - around[0] >= _FEWEST - 1
     enough &= (t > t[0] + window) & (t < t[-1] - window)

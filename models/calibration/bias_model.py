@@ -91,6 +91,22 @@ class BiasModel:
     blocks: int
     nu: float
 
+    def __post_init__(self):
+        """Raises ValueError where a value is no number of its kind."""
+        for name, shape in _SHAPES.items():
+            value = getattr(self, name)
+            sound = np.greater(value, 0) if "time" in name else np.isfinite(value)
+            if np.shape(value) != shape or not sound.all():
+                raise ValueError(f"persistent.{name} is not {shape} finite numbers")
+        for name in ("covariance", "within"):
+            np.linalg.cholesky(getattr(self, name))
+        if np.linalg.eigvalsh(self.course)[0] < -1e-12:
+            raise ValueError("persistent.course is no covariance")
+        if not (np.all(self.epsilon > 0) and np.all(self.max_error > 0)):
+            raise ValueError("persistent.epsilon and max_error must be > 0")
+        if not (isinstance(self.window, int) and self.window > 0):
+            raise ValueError("persistent.window must be whole and positive")
+
     def turned(self, R: np.ndarray) -> BiasModel:
         """The same in the frame that R (3, 3) maps ours to; bounds become those of the enclosing
         box.
@@ -106,44 +122,23 @@ class BiasModel:
             max_error=np.abs(R) @ self.max_error,
         )
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON: lists, and null for an infinite time constant."""
-        values: dict[str, Any] = {k: np.asarray(v).tolist() for k, v in self.__dict__.items()}
-        values["reach"] = values.pop("max_error")  # its name in the file
-        for name in _MAY_BE_INFINITE:
-            value = getattr(self, name)
-            values[name] = np.where(np.isinf(value), None, value).tolist()
-        return values
-
     @classmethod
     def from_plain(cls, values: dict[str, Any]) -> BiasModel:
-        """Inverse of `plain`. Raises TypeError, KeyError or ValueError where it is not complete."""
-        values = {("max_error" if k == "reach" else k): v for k, v in values.items()}
-        for name, shape in _SHAPES.items():
+        """From JSON, where an infinite time constant is null. Raises TypeError, KeyError or
+        ValueError where it is not complete.
+        """
+        values = dict(values)
+        values["max_error"] = values.pop("reach")  # its name in the file
+        for name in _SHAPES:
             value = np.array(values[name], dtype=float)  # null becomes nan
-            infinite = np.isnan(value) if name in _MAY_BE_INFINITE else False
-            values[name] = np.where(infinite, np.inf, value)
-            if value.shape != shape or not np.all(infinite | np.isfinite(value)):
-                raise ValueError(f"persistent.{name} is not {shape} finite numbers")
+            values[name] = np.where(np.isnan(value), np.inf, value)
         values["time_constant"] = float(values["time_constant"])
-        found = cls(**values)
-        for name in ("covariance", "within"):
-            np.linalg.cholesky(values[name])
-        if np.linalg.eigvalsh(found.course)[0] < -1e-12:
-            raise ValueError("persistent.course is no covariance")
-        if not (
-            found.time_constant > 0 and np.all(found.epsilon > 0) and np.all(found.max_error > 0)
-        ):
-            raise ValueError("persistent.time_constant, epsilon and max_error must be > 0")
-        if not (isinstance(found.window, int) and found.window > 0):
-            raise ValueError("persistent.window must be whole and positive")
-        return found
+        return cls(**values)
 
 
 _SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,))
 _SHAPES |= {"interval": (3, 2), "time_constant": (), "time_constant_interval": (2,)}
 _SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
-_MAY_BE_INFINITE = ("time_constant", "time_constant_interval")
 
 
 def long_enough(errors: np.ndarray, dt: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.calibration.regions import BoundsError
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.files import json_digest, write_whole
+from surefoot.sim.common.files import json_digest, plain_json, write_whole
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.common.quaternion import check_rotation
 
@@ -132,12 +132,11 @@ class Bounds:
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write as JSON, whole or not at all. Raises SurefootError where `path` exists."""
-        values = {"format": BOUNDS_FORMAT, "schema": BOUNDS_SCHEMA} | asdict(self)
+        values = {"format": BOUNDS_FORMAT, "schema": BOUNDS_SCHEMA} | plain_json(self)
         if self.persistent is not None:
-            values["persistent"] = self.persistent.plain()
-        text = json.dumps(values, indent=1, default=lambda array: array.tolist(), allow_nan=False)
-        text = json.dumps({"digest": json_digest(json.loads(text))} | json.loads(text), indent=1)
-        write_whole(path, text + "\n", force)
+            values["persistent"]["reach"] = values["persistent"].pop("max_error")
+        values = {"digest": json_digest(values)} | values
+        write_whole(path, json.dumps(values, indent=1) + "\n", force)
 
     @classmethod
     def load(cls, path: str | Path) -> Bounds:
@@ -161,13 +160,11 @@ class Bounds:
 
 
 def _checked(values: dict[str, Any]) -> Bounds:
-    curve: Any = values["mixing"]
+    curve, part = values["mixing"], values.get("persistent")
     if curve is not None:
         arrays = {name: np.array(curve[name]) for name in ("lags", "beta", "floor")}
         curve = Mixing(**(curve | arrays))
-    arrays: dict[str, Any] = {k: np.array(values[k], dtype=float) for k in ("epsilon", "R_BI")}
-    part: Any = values.get("persistent")
     part = None if part is None else BiasModel.from_plain(part)
+    arrays: dict[str, Any] = {k: np.array(values[k], dtype=float) for k in ("epsilon", "R_BI")}
     warnings = tuple(map(str, values.get("warnings", ())))
-    values = values | arrays | {"mixing": curve, "persistent": part, "warnings": warnings}
-    return Bounds(**values)
+    return Bounds(**values | arrays | {"mixing": curve, "persistent": part, "warnings": warnings})

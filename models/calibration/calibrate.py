@@ -14,8 +14,6 @@ Predictive Inference for Regression, JASA 2018, section 5.2).
 `surefoot.models.calibration.empirical_coverage` measures the coverage that results.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -34,7 +32,7 @@ from surefoot.models.calibration.regions import (
 from surefoot.models.calibration.settings import CALIBRATE_DEFAULT, CalibrateSettings
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.odometry import Mounted
-from surefoot.models.observer.predict import judged_prediction
+from surefoot.models.observer.predict import judged, predict
 from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -59,38 +57,8 @@ def calibrate(
         settings: level and method.
         robot: the logs', by default Robot.for_log.
     """
-    gamma, method = settings.gamma, settings.method
-    how = calibrator(method, gamma, settings.confidence)
     unseen = unseen_errors(observer, [logs] if isinstance(logs, Log) else logs, robot)
-    errors = unseen.relative
-    together, name = np.concatenate(errors), ", ".join(unseen.names)
-    require_samples(how, len(together), 1 if settings.K is None else settings.K, name)
-    curve = None
-    if settings.K is None:
-        walk = np.repeat(np.arange(len(errors)), [len(part) for part in errors])
-        curve = mixing(together, walk=walk)
-    K = settings.K if curve is None else curve.K
-    assert K is not None
-    require_samples(how, sum(len(part) // K * K for part in errors), K, name)
-    shaping, chosen = samples_for(how, errors, K)
-    region = region_of(how, shaping, chosen)
-    return Bounds(
-        epsilon=region.epsilon,
-        gamma=gamma,
-        level_per_axis=how.level,
-        method=method,
-        K=K,
-        n=len(chosen),
-        observer=observer.hash,
-        R_BI=unseen.R_BI,
-        log=name,
-        mixing=curve,
-        confidence=how.confidence,
-        persistent=estimate_bias_model(unseen.errors, 1 / RATE, gamma)
-        if long_enough(together, 1 / RATE)
-        else None,
-        scaled=observer.loss == "gml",
-    )
+    return bounds_on(observer, unseen, settings)
 
 
 @dataclass(frozen=True)
@@ -127,7 +95,7 @@ def unseen_errors(
             )
         declared = Robot.for_log(log) if robot is None else robot
         names.append(log.name)
-        _, e, covariance = judged_prediction(observer, log, declared)
+        _, e, covariance = judged(predict(observer, log, declared), log)
         std = 1.0 if covariance is None else np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         errors.append(e)
         relative.append(e / std)
@@ -135,6 +103,41 @@ def unseen_errors(
         if not np.allclose(mountings[-1], mountings[0], atol=1e-4):
             raise BoundsError(f"{log.name}: its IMU is mounted at another angle than {names[0]}'s")
     return UnseenErrors(names, errors, relative, mountings[0])
+
+
+def bounds_on(
+    observer: Observer, unseen: UnseenErrors, settings: CalibrateSettings = CALIBRATE_DEFAULT
+) -> Bounds:
+    """`calibrate` from the errors of the observer on some logs. Raises BoundsError where they are
+    too few, or for a gamma outside (0, 1).
+    """
+    how = calibrator(settings.method, settings.gamma, settings.confidence)
+    errors = unseen.relative
+    together, name = np.concatenate(errors), ", ".join(unseen.names)
+    K, curve = settings.K, None
+    require_samples(how, len(together), 1 if K is None else K, name)
+    if K is None:
+        walk = np.repeat(np.arange(len(errors)), [len(part) for part in errors])
+        curve = mixing(together, walk=walk)
+        K = curve.K
+    require_samples(how, sum(len(part) // K * K for part in errors), K, name)
+    shaping, chosen = samples_for(how, errors, K)
+    lasting = long_enough(together, 1 / RATE)
+    return Bounds(
+        epsilon=region_of(how, shaping, chosen).epsilon,
+        gamma=settings.gamma,
+        level_per_axis=how.level,
+        method=settings.method,
+        K=K,
+        n=len(chosen),
+        observer=observer.hash,
+        R_BI=unseen.R_BI,
+        log=name,
+        mixing=curve,
+        confidence=how.confidence,
+        persistent=estimate_bias_model(unseen.errors, 1 / RATE, how.gamma) if lasting else None,
+        scaled=observer.loss == "gml",
+    )
 
 
 def left_out_coverage(

@@ -8,12 +8,9 @@ import numpy as np
 from scipy.stats import beta
 
 from surefoot.models.calibration.bounds import Bounds, BoundsError
-from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.odometry import Mounted
-from surefoot.models.observer.predict import judged_prediction
+from surefoot.models.observer.predict import Prediction, judged
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
-from surefoot.sim.robot import Robot
 
 SLIPPERY = 0.4
 """Friction coefficient under a loaded foot."""
@@ -103,16 +100,15 @@ class EmpiricalCoverage:
 
 
 def bounded_errors(
-    observer: Observer, bounds: Bounds, log: Log, robot: Mounted | None = None
+    prediction: Prediction, bounds: Bounds, log: Log, R_BI: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (M,) of a log with a measured reference, and the observer's errors (M, 3) there, along
-    the axes of the bounds and in their unit (`Bounds.relative`).
+    """Rows (M,) of a log with a measured reference, and the errors (M, 3) of a prediction there,
+    along the axes of the bounds and in their unit (`Bounds.relative`).
 
-    `robot` is the log's, by default Robot.for_log.
+    R_BI (3, 3) is the mounting of the log's IMU.
     """
-    robot = Robot.for_log(log) if robot is None else robot
-    rows, errors, covariance = judged_prediction(observer, log, robot)
-    return rows, bounds.relative(errors, robot.R_BI, covariance)
+    rows, errors, covariance = judged(prediction, log)
+    return rows, bounds.relative(errors, R_BI, covariance)
 
 
 def coverage(errors: np.ndarray, bounds: Bounds) -> EmpiricalCoverage:

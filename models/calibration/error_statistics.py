@@ -5,8 +5,6 @@ significant. The tests of shape therefore take every K-th error, with K from the
 the interval of the mean uses the effective number of samples by the autocorrelation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,17 +23,14 @@ on.
 class AxisErrors:
     """Statistics of one axis of errors; p-values of normality are from `thinned` errors K apart.
 
-    mean with its 95 % interval, and std, in m/s, are of all n; `independent` is the effective
-    number of errors for the interval. skewness and kurtosis (excess over a Gaussian's) have the
-    tests of D'Agostino and of Anscombe and Glynn; the combined test of D'Agostino and Pearson is
-    `normal_p`; `anderson_p` is that of Anderson and Darling with estimated mean and variance.
-    beyond: share of all n farther from the mean than three std (0.0027 for a Gaussian).
+    mean with its 95 % interval, and std, in m/s, are of all errors. skewness and kurtosis (excess
+    over a Gaussian's) have the tests of D'Agostino and of Anscombe and Glynn; the combined test of
+    D'Agostino and Pearson is `normal_p`; `anderson_p` is that of Anderson and Darling with
+    estimated mean and variance. beyond: share of all farther from the mean than three std (0.0027
+    for a Gaussian).
     """
 
-    n: int
-    K: int
     thinned: int
-    independent: float
     mean: float
     interval: tuple[float, float]
     std: float
@@ -64,13 +59,10 @@ def error_statistics(errors: np.ndarray, K: int | None = None) -> tuple[AxisErro
 
 def _axis(e: np.ndarray, K: int) -> AxisErrors:
     thin = e[K - 1 :: K]
-    mean, std, independent = float(e.mean()), float(e.std()), effective_samples(e)
-    half = float(norm.ppf(0.975)) * std / np.sqrt(independent)
+    mean, std = float(e.mean()), float(e.std())
+    half = float(norm.ppf(0.975)) * std / np.sqrt(effective_samples(e))
     return AxisErrors(
-        n=len(e),
-        K=K,
         thinned=len(thin),
-        independent=independent,
         mean=mean,
         interval=(mean - half, mean + half),
         std=std,

@@ -15,8 +15,6 @@ at each of its multiples, however distant. K falls between the peaks. A spacing 
 stride would sample a single phase of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -7,8 +7,6 @@ large ones cannot win: the probability that his wealth ever reaches 1 / alpha is
 in a Random World, 2nd edition, 2022, section 8.2), on large sizes only.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 UPDATES_OF_BLOCK = 100

@@ -16,8 +16,6 @@ name in `surefoot.models.registry`. Trained ones of `gru` and `mlp` run without 
 sample, since the robot stood there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import ClassVar
@@ -64,7 +62,21 @@ class _Recurrence(torch.autograd.Function):
         return torch.from_numpy(d_in), dW, d_rec.sum(0), torch.from_numpy(dh0)
 
 
-class GRU(torch.nn.Module):
+class Recurrent(torch.nn.Module):
+    """Base of networks with a state, of `features` units."""
+
+    receptive_field = None
+    causal = True
+    features: int
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Uniform within 1/sqrt(features), as torch does, drawn from `generator`."""
+        k = 1 / math.sqrt(self.features)
+        for p in self.parameters():
+            torch.nn.init.uniform_(p, -k, k, generator=generator)
+
+
+class GRU(Recurrent):
     """A GRU layer in float32, with torch.nn.GRU's equations and parameter names; on another device
     than the CPU, where the compiled recurrence runs, with its own.
 
@@ -72,8 +84,6 @@ class GRU(torch.nn.Module):
     """
 
     width, rate = 64, 1e-2
-    receptive_field = None
-    causal = True
 
     def __init__(self, inputs: int, hidden: int):
         super().__init__()
@@ -82,10 +92,6 @@ class GRU(torch.nn.Module):
         self.weight_hh_l0 = torch.nn.Parameter(torch.empty(3 * hidden, hidden))
         self.bias_ih_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
         self.bias_hh_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
-
-    def initialise(self, generator: torch.Generator) -> None:
-        """Uniform within 1/sqrt(hidden), as torch.nn.GRU does, drawn from `generator`."""
-        draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
         h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
@@ -99,21 +105,15 @@ class GRU(torch.nn.Module):
         return torch.gru(x, h0[None], weights, True, 1, 0.0, self.training, False, False)[0]
 
 
-class Recurrent(torch.nn.Module):
+class OfTorch(Recurrent):
     """One recurrent layer of torch, of type `layer_type`."""
 
     layer_type: ClassVar[Callable[[int, int], torch.nn.Module]]
-    receptive_field = None
-    causal = True
 
     def __init__(self, inputs: int, width: int):
         super().__init__()
         self.layer = type(self).layer_type(inputs, width)
         self.features = width
-
-    def initialise(self, generator: torch.Generator) -> None:
-        """Uniform within 1/sqrt(width), as torch does, drawn from `generator`."""
-        draw_uniform(self, self.features, generator)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return self.layer(x)[0]
@@ -130,14 +130,14 @@ class Recurrent(torch.nn.Module):
         return step
 
 
-class RNN(Recurrent):
+class RNN(OfTorch):
     """A layer of tanh units."""
 
     layer_type = torch.nn.RNN
     width, rate = 120, 3e-3
 
 
-class LSTM(Recurrent):
+class LSTM(OfTorch):
     """A layer of long short-term memory."""
 
     layer_type = torch.nn.LSTM
@@ -242,10 +242,3 @@ class TCN(Windowed):
         for dilation, block in zip(self.dilations, self.blocks, strict=True):
             h = h[..., 2 * dilation :] + torch.relu(block(h))
         return h.permute(2, 0, 1)
-
-
-def draw_uniform(layer: torch.nn.Module, width: int, generator: torch.Generator) -> None:
-    """Draw all weights of a layer uniformly within 1/sqrt(width)."""
-    k = 1 / math.sqrt(width)
-    for p in layer.parameters():
-        torch.nn.init.uniform_(p, -k, k, generator=generator)

@@ -5,8 +5,6 @@ classes continues where its last call ended, and its loops sum each row in the s
 their number: a whole log gives the same bits as its samples one by one, which BLAS would not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 
@@ -75,18 +73,16 @@ class Head:
     def __init__(self, weights: Weights, features: int, outputs: int, legs: int):
         """Raises as `linear` does."""
         self._linear = linear(weights, "head.weight", features, outputs)
-        self._odometry = ()
-        if legs:
-            gates = linear(weights, "odometry.gates.weight", features, legs)
-            sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs}
-            units = (of_shape(weights, f"odometry.{name}", size) for name, size in sizes.items())
-            self._odometry = *gates, *units
+        self._gates = linear(weights, "odometry.gates.weight", features, legs) if legs else None
+        sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs} if legs else {}
+        self._units = [of_shape(weights, f"odometry.{name}", n) for name, n in sizes.items()]
 
     def __call__(self, x: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Outputs (T, 3 or 9) of scaled inputs x (T, C) and features (T, F)."""
-        if not self._odometry:
-            return dense(features, *self._linear, 1)
-        return corrected_odometry(x, features, *self._linear, *self._odometry)
+        outputs = dense(features, *self._linear, 1)
+        if self._gates:
+            outputs[:, :3] += leg_velocity(dense(features, *self._gates, 1), *self._units, x)
+        return outputs
 
 
 def linear(weights: Weights, name: str, inputs: int, outputs: int) -> tuple[np.ndarray, np.ndarray]:
@@ -144,30 +140,6 @@ def mlp_features(x, apart, W_1, b_1, W_2, b_2):
     """
     hidden = rectified(dense(x, W_1, b_1, apart))
     return rectified(dense(hidden, W_2, b_2, np.int64(1)))
-
-
-@kernel(nogil=True)
-def corrected_odometry(x, features, W, b, W_gates, b_gates, gain, mean, scale):
-    """Outputs (T, 3 or 9) of the head, with leg odometry added to the velocity.
-
-    Args:
-        x: (T, C), the samples, of which the last are the feet's.
-        features: (T, F), of the architecture.
-        W: (F, 3 or 9), weights of the head.
-        b: its biases.
-        W_gates: (F, L), weights of the gates.
-        b_gates: (L,), their biases.
-        gain: (3,), as of `leg_velocity`.
-        mean: (3 L,), likewise.
-        scale: (3 L,), likewise.
-    """
-    one = np.int64(1)
-    outputs = dense(features, W, b, one)
-    v = leg_velocity(dense(features, W_gates, b_gates, one), gain, mean, scale, x)
-    for t in range(len(v)):
-        for i in range(3):
-            outputs[t, i] += v[t, i]
-    return outputs
 
 
 @kernel(inline="always")

@@ -9,8 +9,6 @@ contact points (`surefoot.models.observer.odometry`). Everything here is in scal
 float32.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import ClassVar, Protocol

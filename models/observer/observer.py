@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from zipfile import is_zipfile
 
+import msgspec
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
+from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head, cholesky_factor
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
@@ -52,24 +53,25 @@ EARLIER_INPUTS = ("feet", "tau,feet", "q,dq,tau,feet")
 """Inputs of observers of version 0.1.0, whose feet move relative to the base: without gyro."""
 
 
+Running = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+"""Function of a robot's next samples, 10 ms apart, to v_I (M, 3) [m/s] and covariances (M, 3, 3),
+None of an `mse` observer. A sample are the `signals` (S,), unscaled, after the anti-alias filter of
+`surefoot.models.observer.samples`; the state is kept between calls.
+"""
+
+
 class ObserverError(SurefootError):
     """An observer that cannot be read, or that does not match the log or robot."""
 
 
-@dataclass(frozen=True)
-class TrainingLog:
+class TrainingLog(msgspec.Struct, frozen=True, omit_defaults=True):
     """A log an observer was trained on: its name, the digest of its samples, and plausibility
-    warnings.
+    warnings; without any, plain values have the same digest as before there were warnings.
     """
 
     name: str
     sha256: str
     warnings: tuple[str, ...] = ()
-
-    def plain(self) -> dict[str, Any]:
-        """Plain values; without warnings, with the same digest as before there were any."""
-        warned = {"warnings": list(self.warnings)} if self.warnings else {}
-        return {"name": self.name, "sha256": self.sha256, **warned}
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +157,8 @@ class Observer:
         network.load_state_dict({n: torch.from_numpy(w) for n, w in self.weights.items()})
         return network.eval()
 
-    def running(self, whole: bool) -> Callable[[np.ndarray], np.ndarray]:
-        """A function from scaled inputs (T, C), from a log's first sample or the one after the last
-        call, to outputs of the head (T, 3 or 9).
+    def running(self, whole: bool = False) -> Running:
+        """The observer from a log's beginning on; a `gru` and an `mlp` step in compiled code.
 
         Raises ObserverError for a model that is not causal, unless the one call has the `whole`
         log; LookupError, ValueError or RuntimeError for weights of another network.
@@ -176,23 +177,23 @@ class Observer:
             )
         head = Head(self.weights, features, LOSS_OUTPUTS[self.loss], self._leg_count)
 
-        def run(x: np.ndarray) -> np.ndarray:
-            return head(x, body(x))
+        kinematics = Kinematics.of(self.legs, self) if self.legs else None
+
+        def run(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+            inputs = observer_inputs(self.inputs, kinematics, x) - self.input_mean
+            scaled = (inputs / self.input_scale).astype(np.float32, order="C")
+            outputs = head(scaled, body(scaled))
+            v_I = self.output_mean + self.output_scale * outputs[:, :3].astype(float)
+            if self.loss != "gml":
+                return v_I, None
+            L = self.output_scale[:, None] * cholesky_factor(outputs).astype(float)
+            return v_I, L @ L.swapaxes(-1, -2)
 
         return run
 
     @property
     def _leg_count(self) -> int:
         return len(self.legs["radius"]) if self.legs else 0
-
-    @cached_property
-    def _kinematics(self) -> Kinematics | None:
-        return Kinematics.of(self.legs, self) if self.legs else None
-
-    def scaled(self, x: np.ndarray) -> np.ndarray:
-        """Inputs (M, C) as the network takes them, float32, of `signals` (M, S), unscaled."""
-        x = observer_inputs(self.inputs, self._kinematics, x)
-        return ((x - self.input_mean) / self.input_scale).astype(np.float32, order="C")
 
     def save(self, path: str | Path, force: bool = False) -> None:
         """Write the checkpoint, whole or not at all. Raises SurefootError where `path` exists."""
@@ -355,52 +356,41 @@ def _flat(observer: Observer) -> dict[tuple[str, str], Any]:
     values: dict[tuple[str, str], Any] = {}
     for name in (f.name for f in fields(observer)):
         value = getattr(observer, name)
-        if isinstance(value, np.ndarray):
-            value = value.astype(float, order="C")
-        elif name == "logs":
-            value = [log.plain() for log in value]
-        elif isinstance(value, tuple):
-            value = list(value)
-        for key, one in (value if isinstance(value, dict) else {name: value}).items():
-            values[name, key] = np.ascontiguousarray(one) if isinstance(value, dict) else one
+        if isinstance(value, dict):
+            values |= {(name, key): np.ascontiguousarray(one) for key, one in value.items()}
+        elif isinstance(value, np.ndarray):
+            values[name, name] = value.astype(float, order="C")
+        else:
+            values[name, name] = msgspec.to_builtins(value)
     return values
 
 
 def _from_plain(values: dict[str, Any]) -> Observer:
-    known: dict[str, Any] = {f.name: values[f.name] for f in fields(Observer)}
-    known["logs"] = tuple(
-        TrainingLog(log["name"], log["sha256"], tuple(log.get("warnings", ())))
-        for log in known["logs"]
-    )
-    known["inputs"] = check_inputs(tuple(known["inputs"]), INPUTS + EARLIER_INPUTS)
-    known["joints"] = tuple(known["joints"])
-    check_network(known["model"], known["loss"])
-    kinds = {"robot": str, "seed": int, "rate": float, "width": int, "causal_dq": bool}
-    for name, kind in kinds.items():
-        if type(known[name]) is not kind:
-            raise ValueError(f"{name} is not a {kind.__name__}")
-    if not 0 < known["width"] <= WIDEST:
+    observer = msgspec.convert({f.name: values[f.name] for f in fields(Observer)}, Observer)
+    check_inputs(observer.inputs, INPUTS + EARLIER_INPUTS)
+    check_network(observer.model, observer.loss)
+    if not 0 < observer.width <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
-    joints, legs = len(known["joints"]), len(known["legs"].get("radius", ()))
+    joints, legs = len(observer.joints), len(observer.legs.get("radius", ()))
     # Each leg contributes position and velocity of its contact point.
     columns = {"gyro": 3, "contact": legs, "feet": 6 * legs}
-    channels = sum(columns.get(name, joints) for name in known["inputs"])
-    if "feet" in known["inputs"]:
-        check_leg_geometry(known["legs"], joints)
-    elif known["legs"]:
+    channels = sum(columns.get(name, joints) for name in observer.inputs)
+    if "feet" in observer.inputs:
+        check_leg_geometry(observer.legs, joints)
+    elif observer.legs:
         raise ValueError("legs without feet among the inputs")
     shapes = {"input_mean": (channels,), "input_scale": (channels,), "R_BI": (3, 3)}
     shapes |= dict.fromkeys(("output_mean", "output_scale", "p_BI", "rmse"), (3,))
-    shapes["errors"] = (len(known["errors"]), 3)
+    shapes["errors"] = (len(observer.errors), 3)
     for name, shape in shapes.items():
-        if np.shape(known[name]) != shape:
+        if np.shape(values[name]) != shape:
             raise ValueError(f"{name} is not of shape {shape}")
-        if not np.all(np.isfinite(known[name])):
+        if not np.all(np.isfinite(values[name])):
             raise ValueError(f"{name} is not finite")
-    check_rotation(known["R_BI"])
-    if min(known["input_scale"].min(), known["output_scale"].min()) <= 0:
+    check_rotation(observer.R_BI)
+    if min(observer.input_scale.min(), observer.output_scale.min()) <= 0:
         raise ValueError("a scale is not positive")
-    for name, weight in known["weights"].items():
+    for name, weight in observer.weights.items():
         if weight.dtype != np.float32 or not np.isfinite(weight).all():
             raise ValueError(f"weights: {name} is not finite and float32")
-    return Observer(**known)
+    return observer

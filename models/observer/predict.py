@@ -1,12 +1,9 @@
 """Prediction with an observer: for a whole log, in a robot's own loop, or for a log in pieces."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.models.observer.inference import cholesky_factor
 from surefoot.models.observer.observer import Observer, ObserverError, check_robot, signals
 from surefoot.models.observer.odometry import Mounted, move_velocity, same_mounting
 from surefoot.models.observer.samples import (
@@ -32,13 +29,11 @@ class Prediction:
 
     Attributes:
         rows: indices into the log (M,).
-        t: (M,) [s].
         v_I: velocity of the log's IMU in its own frame (M, 3) [m/s].
         covariance: (M, 3, 3) [m^2/s^2] of a `gml` observer, None of an `mse` one.
     """
 
     rows: np.ndarray
-    t: np.ndarray
     v_I: np.ndarray
     covariance: np.ndarray | None
 
@@ -54,7 +49,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     check_robot(observer, robot, log.joints, f"{log.name}: ")
     seen = observer_samples(log, observer.inputs)
     with np.errstate(over="ignore", invalid="ignore"):  # of extreme weights, refused below
-        v_I, covariance = Loop(observer, whole=True).steps(seen.x)
+        v_I, covariance = observer.running(whole=True)(seen.x)
     parts = v_I if covariance is None else np.hstack([v_I, covariance.reshape(len(v_I), 9)])
     sound = (np.abs(parts) < _LARGEST).all()  # not of nan
     if not sound or (covariance is not None and np.linalg.eigvalsh(covariance).min() <= 0.0):
@@ -70,7 +65,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
             )
         gyro = log.gyro[seen.rows]
         v_I, covariance = move_velocity(v_I, covariance, gyro, observer, robot)
-    return Prediction(seen.rows, seen.t, v_I, covariance)
+    return Prediction(seen.rows, v_I, covariance)
 
 
 def prediction_errors(
@@ -79,57 +74,17 @@ def prediction_errors(
     """Rows (M,) with a measured reference, and the errors v_I predicted - v_I (M, 3) [m/s]
     there.
     """
-    rows, errors, _ = judged_prediction(observer, log, robot)
+    rows, errors, _ = judged(predict(observer, log, robot), log)
     return rows, errors
 
 
-def judged_prediction(
-    observer: Observer, log: Log, robot: Mounted | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """`prediction_errors`, and the predicted covariances (M, 3, 3) [m^2/s^2] of a `gml` observer
-    there, None of an `mse` one.
+def judged(prediction: Prediction, log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Rows (M,) of a log with a measured reference, the errors v_I predicted - v_I (M, 3) [m/s]
+    there, and the predicted covariances (M, 3, 3) [m^2/s^2], None of an `mse` observer.
     """
-    prediction = predict(observer, log, robot)
     v_I, measured = body_velocity(log, prediction.rows)
-    covariance = prediction.covariance
-    covariance = None if covariance is None else covariance[measured]
+    covariance = None if prediction.covariance is None else prediction.covariance[measured]
     return prediction.rows[measured], (prediction.v_I - v_I)[measured], covariance
-
-
-class Loop:
-    """An observer in a robot's own loop: one call every 10 ms, keeping its state between calls.
-
-    A `gru` and an `mlp` step in compiled code.
-    """
-
-    def __init__(self, observer: Observer, whole: bool = False):
-        """Start as at the beginning of a log.
-
-        Raises ObserverError for a model that is not causal, unless the one call has the `whole`
-        log.
-        """
-        self.observer = observer
-        self._outputs = observer.running(whole)
-
-    def step(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """v_I (3,) [m/s], and covariance (3, 3) or None, from signals x (S,), filtered, unscaled.
-
-        The signals are those of surefoot.models.observer.observer.signals, concatenated: q, dq,
-        tau, gyro, contact where the inputs need them. The filter is that of
-        surefoot.models.observer.samples over the samples of the last 20 ms.
-        """
-        v_I, covariance = self.steps(x[None])
-        return v_I[0], None if covariance is None else covariance[0]
-
-    def steps(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """The same for the next samples x (M, S): v_I (M, 3), and covariances (M, 3, 3) or None."""
-        outputs = self._outputs(self.observer.scaled(x))
-        scale = self.observer.output_scale
-        v_I = self.observer.output_mean + scale * outputs[:, :3].astype(float)
-        if self.observer.loss != "gml":
-            return v_I, None
-        L = scale[:, None] * cholesky_factor(outputs).astype(float)
-        return v_I, L @ L.swapaxes(-1, -2)
 
 
 class ObserverStream:
@@ -165,7 +120,7 @@ class ObserverStream:
         check_rate(rate)
         self._observer, self._robot = observer, robot
         self._moved = not same_mounting(observer, robot)
-        self._loop = Loop(observer)
+        self._running = observer.running()
         self._period = 1.0 / rate
         self._signals = signals(observer.inputs)
         self._rates, self._derives = CausalDerivative(), DQ_ZERO_PHASE in derived
@@ -194,7 +149,7 @@ class ObserverStream:
         seen = decimate(times, x, rows + before)
         kept = int(np.searchsorted(times, times[-1] - ANTI_ALIAS_SPAN - 1e-6))
         self._t, self._x = times[kept:], x[kept:]
-        v_I, covariance = self._loop.steps(seen)
+        v_I, covariance = self._running(seen)
         if self._moved:
             mountings = self._observer, self._robot
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)

@@ -91,14 +91,12 @@ class Samples:
 
     Attributes:
         rows: indices into the log (M,).
-        t: (M,) [s].
         x: unscaled signals for the inputs (M, S) (surefoot.models.observer.observer.signals);
             contacts are 0 to 1.
         causal_dq: whether dq among them was derived from q.
     """
 
     rows: np.ndarray
-    t: np.ndarray
     x: np.ndarray
     causal_dq: bool
 
@@ -122,7 +120,7 @@ def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
         groups["dq"] = derivative(log.t, log.q, JOINT_WINDOW, causal=True)
     causal_dq = derives or ("dq" in groups and DQ_CAUSAL in log.meta.derived)
     rows, signal = observer_rows(log), np.concatenate([groups[name] for name in wanted], axis=1)
-    return Samples(rows, log.t[rows], decimate(log.t, signal, rows), causal_dq)
+    return Samples(rows, decimate(log.t, signal, rows), causal_dq)
 
 
 def body_velocity(log: Log, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,8 +6,6 @@ its state running through the whole log, and the weights with the best score are
 a training is stored on disk, so that an interrupted one continues with bit-identical results.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

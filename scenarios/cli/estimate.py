@@ -79,7 +79,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
 
     def run(self) -> None:
         from surefoot.models.calibration.regions import walk_enough
-        from surefoot.models.observer.observer import Observer
+        from surefoot.models.observer.observer import Observer, TrainingLog
         from surefoot.models.observer.training import partial_path, torch_device, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.training.many_walks import many_walks, write_error_by_walks
@@ -104,9 +104,10 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             warnings = not_plausible(recorded, strict=self.strict)
             logs, held_out = None, ()
             observer = train(as_declared(recorded), None, self, True, partial, (), start)
-            earlier, own = observer.logs[: -len(recorded)], observer.logs[-len(recorded) :]
-            own = [replace(one, warnings=lines) for one, lines in zip(own, warnings, strict=True)]
-            observer = replace(observer, logs=(*earlier, *own))
+            earlier, given = observer.logs[: -len(recorded)], observer.logs[-len(recorded) :]
+            pairs = zip(given, warnings, strict=True)
+            given = [TrainingLog(one.name, one.sha256, lines) for one, lines in pairs]
+            observer = replace(observer, logs=(*earlier, *given))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
         if logs and self.report:
@@ -159,7 +160,7 @@ class Calibrate(
 
     def run(self) -> None:
         from surefoot.models.calibration.calibrate import (
-            calibrate,
+            bounds_on,
             left_out_coverage,
             unseen_errors,
         )
@@ -184,7 +185,8 @@ class Calibrate(
             recorded = list(many_walks(drawn, role="calibrate"))
         warnings = [] if self.walks else not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
-        bounds = calibrate(observer, logs, self)
+        unseen = unseen_errors(observer, logs)
+        bounds = bounds_on(observer, unseen, self)
         bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings)))
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
             if folder:
@@ -199,7 +201,6 @@ class Calibrate(
             f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
         if len(logs) > 1:
-            unseen = unseen_errors(observer, logs)
             shares = left_out_coverage(unseen.relative, self, bounds.K)
             held = dict(zip(unseen.names, shares, strict=True))
             worst = min(held, key=lambda name: held[name])

@@ -25,6 +25,7 @@ from surefoot.models.calibration.shift import (
     shift_alarm,
 )
 from surefoot.models.observer.observer import Observer, log_digest
+from surefoot.models.observer.predict import predict
 from surefoot.models.observer.samples import RATE, observer_rows
 from surefoot.models.registry import CALIBRATORS
 from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
@@ -187,7 +188,8 @@ def evaluate_walk(
     known, robot = declared_model(log, named)
     rows, errors = np.zeros(0, dtype=int), np.zeros((0, 3))
     if log.has("reference"):
-        rows, errors = bounded_errors(observer, bounds, known, robot)
+        prediction = predict(observer, known, robot)
+        rows, errors = bounded_errors(prediction, bounds, known, robot.R_BI)
     name = "coverage_gml" if bounds.scaled else "coverage"
     trajectory = run_filter(name, log, named, Learnt((observer,), (bounds,))).trajectory
     found = innovations(known, trajectory)

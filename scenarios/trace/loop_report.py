@@ -11,6 +11,7 @@ import pandas as pd
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.empirical_coverage import bounded_errors, coverage
 from surefoot.models.calibration.regions import BoundsError
+from surefoot.models.observer.predict import predict
 from surefoot.scenarios.compare import Comparison, velocity_pictures
 from surefoot.scenarios.estimate.error_series import error_series
 from surefoot.scenarios.estimate.estimators import traits
@@ -173,7 +174,8 @@ def _bounds_row(world: LoopWorld) -> dict[str, Any]:
     observer, bounds = world.learnt.observers[0], world.learnt.bounds[0]
     log, robot = world.comparison.log, world.comparison.robot
     assert robot is not None
-    held = coverage(bounded_errors(observer, bounds, log, robot)[1], bounds).joint
+    _, errors = bounded_errors(predict(observer, log, robot), bounds, log, robot.R_BI)
+    held = coverage(errors, bounds).joint
     row: dict[str, Any] = {"bounds [m/s]": _three(bounds.epsilon), "hold [%]": round(100 * held, 1)}
     try:
         epsilon, held = recalibrated(observer, bounds, log, robot)

@@ -16,7 +16,7 @@ from surefoot.models.calibration.empirical_coverage import QUARTERS, bounded_err
 from surefoot.models.calibration.regions import BoundsError
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import prediction_errors
+from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import RATE, body_velocity
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.sim.log import Log
@@ -130,7 +130,7 @@ def recalibrated(
     first = log.rows(slice(0, half))
     how = CalibrateSettings(gamma=bounds.gamma, method=bounds.method, K=bounds.K)
     new = calibrate(observer, first, how, robot)
-    rows, errors = bounded_errors(observer, new, log, robot)
+    rows, errors = bounded_errors(predict(observer, log, robot), new, log, robot.R_BI)
     inside = np.abs(errors[rows >= half]) <= new.epsilon
     return new.epsilon, float(inside.all(axis=1).mean())
 

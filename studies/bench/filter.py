@@ -13,16 +13,15 @@ from surefoot import Observer
 from surefoot.estimator import (
     EXTRA,
     FLOOR,
-    UNLIMITED,
     hat,
     lift,
     propagate,
     update_coverage,
+    velocity_memory,
     velocity_output,
 )
 from surefoot.extend import ARCHITECTURES, GRAVITY, FilterNoise, InvariantFilter, NavState, kernel
 from surefoot.models.observer.network import Network
-from surefoot.models.observer.predict import Loop
 
 BENCH_GAMMA, FILTER_STEPS = 0.8, 200
 PYTHON_STEPS = 2000
@@ -51,7 +50,7 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
     def run(samples: int):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
         log = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
-        run_updates(*log, epsilon, mean, covariance, noise, shifts, samples)
+        run_updates(*log, epsilon, mean, covariance, noise, velocity_memory(), shifts, samples)
         return mean
 
     ours, theirs = in_turn(lambda: run(0), lambda: run(SAMPLES), rounds, progress)
@@ -65,7 +64,9 @@ def coverage_row(rounds: int, progress: Progress | None = None) -> Ratio:
 
 
 @kernel
-def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, samples: int):
+def run_updates(
+    t, gyro, accel, v_I, epsilon, mean, covariance, noise, memory, shifts, samples: int
+):  # fmt: skip
     """Run the filter over a log with an update at every sample, in place.
 
     Args:
@@ -77,17 +78,16 @@ def run_updates(t, gyro, accel, v_I, epsilon, mean, covariance, noise, shifts, s
         mean: (7, 3), the packed mean.
         covariance: (15, 15).
         noise: (4, 3), `FilterNoise.packed`.
+        memory: VelocityMemory.
         shifts: (N-1, 3) in [0, 1), of the lattices.
         samples: of the moments; 0 for exact ones.
     """
     columns, rotation_columns = np.zeros((15, 6)), np.zeros((0, 3))
-    counts = np.zeros(2, dtype=np.int64)
     for k in range(1, t.shape[0]):
         dt = t[k] - t[k - 1]
         propagate(mean, covariance, gyro[k], accel[k], dt, noise, columns, rotation_columns)
         if samples == 0:
-            v, limit = v_I[k - 1], UNLIMITED
-            update_coverage(mean, covariance, v, epsilon, BENCH_GAMMA, 1, limit, 1, counts)
+            update_coverage(mean, covariance, v_I[k - 1], epsilon, BENCH_GAMMA, 1, memory)
         else:
             sampled_update(mean, covariance, v_I[k - 1], epsilon, samples, shifts[k - 1])
 
@@ -126,7 +126,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     alone.
     """
     study, _, trials = trial()
-    loop = Loop(untrained_observer())
+    running = untrained_observer().running()
     x = np.random.default_rng(7).standard_normal((FILTER_STEPS, 36))
     epsilon, dt = 1.8 * study.noise_std, 1.0 / study.imu_rate
     noise = FilterNoise(study.imu.gyro, study.imu.accel, 0.0, 0.0)
@@ -135,7 +135,7 @@ def step_row(rounds: int, progress: Progress | None = None) -> Ratio:
     def ours():
         f = InvariantFilter(state, covariance, noise)
         for k in range(FILTER_STEPS):
-            loop.step(x[k])
+            running(x[k : k + 1])
             f.predict(trials.gyro[0, k + 1], trials.accel[0, k + 1], dt)
             # The network is untrained, so the trial's velocity replaces its output.
             f.update_coverage(trials.v_I[0, k], epsilon, BENCH_GAMMA)

@@ -11,7 +11,6 @@ from surefoot.estimator.run import (
     gaussian_velocities,
     imu_samples,
 )
-from surefoot.estimator.updates.velocity import UNLIMITED
 
 
 def rows_of(t, stride):
@@ -42,12 +41,12 @@ def run_velocity(
 
 def run_coverage(
     t, gyro, accel, rows, v_I, epsilon, gamma, state, covariance, noise=None, stride=None,
-    persistent=None, iterations=1, max_error=UNLIMITED,
+    persistent=None, iterations=1,
 ):  # fmt: skip
     imu = imu_samples(t, gyro, accel)
     velocities = bounded_velocities(rows, v_I, epsilon, len(imu.t))
     one = filter_of(state, covariance, noise, persistent)
-    settings = CoverageSettings(gamma, iterations, max_error)
+    settings = CoverageSettings(gamma, iterations)
     return one.run(imu, velocities, rows_of(imu.t, stride), settings)
 
 

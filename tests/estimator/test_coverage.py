@@ -14,26 +14,25 @@ from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
 from surefoot.estimator.updates.velocity import (
     SIGMAS,
-    UNLIMITED,
-    fresh_counts,
     inverse_3,
     is_outlier,
-    note_velocity,
     update_velocity,
     update_velocity_checked,
+    velocity_memory,
     velocity_output,
 )
 
 
 def test_outliers_are_rejected_so_often_in_a_row_and_no_more():
     """Three of them; the fourth says that the estimate is wrong. One that fits counts anew."""
-    S, most, counts = np.diag([0.04, 0.01, 0.01]), np.array([0.1, 0.2, 0.3]), fresh_counts()
+    S, most = np.diag([0.04, 0.01, 0.01]), np.array([0.1, 0.2, 0.3])
+    memory = velocity_memory(most, 3)
     fits = most + 0.999 * SIGMAS * np.sqrt(np.diag(S))
     for axis in range(3):
         beyond = fits * np.where(np.arange(3) == axis, -1.002, 1.0)
-        found = [is_outlier(S, beyond, most, 3, counts) for _ in range(5)]
+        found = [is_outlier(S, beyond, memory) for _ in range(5)]
         assert found == [True, True, True, False, False]
-        assert not is_outlier(S, fits, most, 3, counts)
+        assert not is_outlier(S, fits, memory)
 
 
 def test_output_jacobian_by_differences():
@@ -65,7 +64,7 @@ def test_output_jacobian_by_differences():
 def test_covariance_survives_a_hundred_thousand_updates():
     """Outliers of 40 sigma, dropouts and no process noise at all: PD and finite to the end."""
     rng = np.random.default_rng(6)
-    mean, P, counts, steps = NavState().pack(), np.eye(15) * 0.01, fresh_counts(), 100_000
+    mean, P, memory, steps = NavState().pack(), np.eye(15) * 0.01, velocity_memory(), 100_000
     P[9:, 9:] *= 1e-2
     epsilon = np.array([0.05, 0.2, 0.05])
     noise = rng.normal(size=(steps, 3)) * 0.04
@@ -74,7 +73,7 @@ def test_covariance_survives_a_hundred_thousand_updates():
         if k % 1000 == 500:
             v = v + 40 * np.sqrt(P[3, 3] + 1e-4) * np.array([1.0, -1.0, 0.3])
         if k % 5000 < 4500:
-            update_coverage(mean, P, v, epsilon, 0.8, 1, UNLIMITED, 1, counts)
+            update_coverage(mean, P, v, epsilon, 0.8, 1, memory)
         P[3, 3] += 1e-7
         if k % 10_000 == 9_999:
             assert np.all(np.isfinite(P))
@@ -87,28 +86,13 @@ def test_the_update_moves_the_packed_state_into_the_bounds():
     """Of a velocity known to 0.1 m/s, said to be 0.5 m/s away with bounds of 0.05."""
     mean, P = NavState().pack(), np.eye(15) * 0.01
     v_I, epsilon = np.array([0.5, 0.0, 0.0]), np.array([0.05, 1.0, 1.0])
-    pi = update_coverage(mean, P, v_I, epsilon, 0.99, 1, UNLIMITED, 1, fresh_counts())
+    pi = update_coverage(mean, P, v_I, epsilon, 0.99, 1, velocity_memory())
     assert pi < 1e-5
     assert 0.4 < mean[3, 0] < 0.5
     assert P[3, 3] < 0.01
     again = mean.copy()
-    options = 0.99, 1, UNLIMITED, 1, fresh_counts()
+    options = 0.99, 1, velocity_memory()
     assert update_coverage(again, P.copy(), v_I, epsilon, *options) > pi
-
-
-def test_what_is_noted_of_a_velocity_is_what_its_update_uses():
-    """With a persistent error in the state, with contacts, and with neither."""
-    rng = np.random.default_rng(7)
-    for extras, contacts in ((0, 0), (1, 0), (2, 2)):
-        n = 15 + 3 * extras
-        mean = NavState(so3_exp(rng.normal(size=3)), rng.normal(size=3)).pack(extras)
-        mean[7:] = rng.normal(size=(extras, 3))
-        A, v_I, R = rng.normal(size=(n, n)), rng.normal(size=3), np.diag([0.1, 0.2, 0.3])
-        PHt, S, residual = np.empty((n, 3)), np.empty((3, 3)), np.empty(3)
-        velocity_output(mean, A @ A.T, contacts, v_I, PHt, S, residual)
-        note = np.empty((7, 3))
-        note_velocity(mean, A @ A.T, contacts, v_I, R, note)
-        assert_allclose(note, np.vstack([residual, S, R]), atol=1e-12)
 
 
 def test_a_checked_velocity_update_is_the_plain_one_or_none():
@@ -116,10 +100,10 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
     A = rng.normal(size=(15, 15))
     state, P, R = NavState(v_GI=np.ones(3)).pack(), A @ A.T + np.eye(15), np.eye(3)
     mean, cov = state.copy(), P.copy()
-    wanted = update_velocity(mean, cov, 0, np.zeros(3), R)
-    free = UNLIMITED, 1, fresh_counts()
+    memory = velocity_memory()
+    wanted = update_velocity(mean, cov, 0, np.zeros(3), R, memory)
     found, spread = state.copy(), P.copy()
-    assert update_velocity_checked(found, spread, np.zeros(3), R, *free) == wanted > 0.0
+    assert update_velocity_checked(found, spread, 0, np.zeros(3), R, *memory[:3]) == wanted > 0.0
     assert_array_equal(found, mean)
     assert_array_equal(spread, cov)
     for v_I, noise in (
@@ -127,7 +111,7 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
         (np.zeros(3), -R), (np.zeros(3), np.eye(2)),
     ):  # fmt: skip
         found, spread = state.copy(), P.copy()
-        assert update_velocity_checked(found, spread, v_I, noise, *free) == -1.0
+        assert update_velocity_checked(found, spread, 0, v_I, noise, *memory[:3]) == -1.0
         assert_array_equal(found, state)
         assert_array_equal(spread, P)
 
@@ -276,13 +260,13 @@ def test_the_floor_keeps_a_flat_velocity_covariance_usable(spread):
     rng = np.random.default_rng(4)
     direction = rng.normal(size=3)
     direction /= np.linalg.norm(direction)
-    epsilon, counts = np.array([0.05, 0.2, 0.05]), fresh_counts()
+    epsilon, memory = np.array([0.05, 0.2, 0.05]), velocity_memory()
     for flat in (spread**2 * np.outer(direction, direction), np.zeros((3, 3))):
         mean, P = NavState().pack(), 1e-6 * np.eye(15)
         P[3:6, 3:6] = flat
         for v_I in (np.zeros(3), 0.1 * spread * direction, 40.0 * spread * rng.normal(size=3)):
             for _ in range(20):
-                pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, UNLIMITED, 1, counts)
+                pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, memory)
                 assert 0.0 <= pi <= 1.0
                 assert np.isfinite(mean).all()
                 least = np.linalg.eigvalsh(P).min()

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 from refusals import refused
 from scipy.stats import chi2
 
-from surefoot.estimator.ego_velocity import _checked, _ego_velocity, _solve, ego_velocities
+from surefoot.estimator.ego_velocity import _ego_velocity, _solve, ego_velocities
 
 
 def ego_velocity(direction, doppler, noise, angle_noise=(0.0, 0.0)):
     """Velocity, covariance and mask of the inliers of one frame, or None."""
-    direction, doppler, noises = _checked(direction, doppler, noise, angle_noise)
+    noises = np.array([noise, *angle_noise])
     v, cov, inlier = np.empty(3), np.empty((3, 3)), np.empty(len(direction), dtype=np.bool_)
     found = _ego_velocity(direction, doppler, noises, v, cov, inlier)
     return (v, cov, inlier) if found else None
@@ -138,8 +138,9 @@ def test_frames_in_one_loop_are_frames_one_by_one():
 
 
 def test_bad_input_is_one_clear_line():
-    refused("direction: shape", ego_velocity, np.ones((4, 2)), np.ones(4), 0.03)
-    refused("doppler: shape", ego_velocity, np.ones((4, 3)), np.ones(3), 0.03)
-    refused("noise", ego_velocity, np.ones((4, 3)), np.ones(4), 0.0)
-    refused("noise: inf", ego_velocity, np.ones((4, 3)), np.ones(4), np.inf)
-    refused("angle_noise", ego_velocity, np.ones((4, 3)), np.ones(4), 0.1, (0.0, -0.1))
+    frames, u, d = np.zeros(4), np.ones((4, 3)), np.ones(4)
+    refused("direction: shape", ego_velocities, frames, u[:, :2], d, 1, 0.03)
+    refused("doppler: shape", ego_velocities, frames, u, d[:3], 1, 0.03)
+    refused("noise", ego_velocities, frames, u, d, 1, 0.0)
+    refused("noise: inf", ego_velocities, frames, u, d, 1, np.inf)
+    refused("angle_noise", ego_velocities, frames, u, d, 1, 0.1, (0.0, -0.1))

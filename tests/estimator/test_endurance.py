@@ -18,9 +18,8 @@ from surefoot.estimator.updates.contact import (
 )
 from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.velocity import (
-    UNLIMITED,
     update_velocity,
-    update_velocity_unless_outlier,
+    velocity_memory,
 )
 from surefoot.sim.common.kernels import kernel
 
@@ -33,7 +32,7 @@ FEET = np.array([[0.3, 0.2, -0.5], [0.3, -0.2, -0.5], [-0.3, 0.2, -0.5], [-0.3, 
 
 
 @kernel
-def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check):
+def march(kind, steps, seed, memory, measured, persistent, contacts, noise, feet_I, check):
     """Walk in circles at 500 Hz; `check` (M, n, n) receives P at even intervals."""
     np.random.seed(seed)
     mean, P, columns, rotation = (
@@ -42,8 +41,7 @@ def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check)
         memory.columns,
         memory.rotation_columns,
     )
-    counts = np.zeros(2, dtype=np.int64)
-    rates = np.zeros((4, 3))
+    rates, sums = np.zeros((4, 3)), np.zeros((4, 10))
     contact, cov = np.zeros(4, dtype=np.bool_), np.zeros((4, 3, 3))
     R, epsilon = np.eye(3) * 4e-4, np.array([0.05, 0.2, 0.05])
     every = steps // check.shape[0]
@@ -57,7 +55,7 @@ def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check)
         else:
             propagate_contacts(memory, contacts, gyro, accel, 0.002, rates)
         if kind == 2 or kind == 3:
-            propagate_bias(mean, P, persistent, 0.002)
+            propagate_bias(mean, P, persistent, 20.0, 0.002)
         if k % every == every - 1:
             check[k // every] = P
         if k % 5000 >= 4500:
@@ -70,22 +68,16 @@ def march(kind, steps, seed, memory, persistent, contacts, noise, feet_I, check)
             if wild > 1.0 and kind > 0:
                 size = wild * np.sqrt(P[3, 3] + P[4, 4] + P[5, 5])
             v = size * np.random.randn(3)
-            if kind == 0:
-                update_coverage(mean, P, v, epsilon, 0.8, 1, UNLIMITED, 1, counts)
-            elif kind == 1:
-                update_velocity(mean, P, 0, v, R)
-            elif kind == 6 or kind == 2:
-                most, window = persistent.max_error, persistent.window
-                update_coverage(mean, P, v, epsilon, 0.8, 1, most, window, counts)
+            if kind == 1 or kind == 3:
+                update_velocity(mean, P, 0, v, R, measured)
             else:
-                most, window = persistent.max_error, persistent.window
-                update_velocity_unless_outlier(mean, P, v, R, most, window, counts)
+                update_coverage(mean, P, v, epsilon, 0.8, 1, measured)
         elif kind == 4 or kind == 5:
             for i in range(4):
                 contact[i] = (k // 150 + i // 2 + i) % 2 == 0
             seen = feet_I + wild * 2e-3 * np.random.randn(4, 3)
             gate = np.inf if kind == 4 else 16.27
-            update_contacts(memory, gate, seen, contact, cov)
+            update_contacts(memory, gate, seen, contact, cov, sums)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -103,7 +95,10 @@ def test_the_covariance_stays_definite_and_nothing_diverges(kind, steps):
         mean, P = NavState().pack(), start
     check = np.full((40, *P.shape), np.nan)
     contacts = ContactModel(NOISE, np.full(3, 4e-4), 0.01, np.full(4, 0.02), np.inf)
-    march(place, steps, 1, contact_memory(mean, P), lasting.model(), contacts, NOISE, FEET, check)
+    rejecting = kind.endswith(("persistent", "outliers"))
+    measured = velocity_memory(lasting.max_error, 12) if rejecting else velocity_memory()
+    memories = contact_memory(mean, P), measured
+    march(place, steps, 1, *memories, lasting.covariance, contacts, NOISE, FEET, check)
     assert np.isfinite(check).all()
     assert np.isfinite(P).all()
     assert np.isfinite(mean).all()

@@ -11,10 +11,9 @@ from surefoot.estimator.core.state import NavState, retract
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.velocity import (
-    UNLIMITED,
-    fresh_counts,
     lift,
     update_velocity,
+    velocity_memory,
     velocity_output,
 )
 
@@ -103,7 +102,7 @@ def test_the_feasible_set_is_the_papers(state, rng):
     middle = -(inverse @ D - y)[:3]
     assert_allclose(residual, middle, atol=1e-13)
     log_pi, _, _ = box_moments(np.zeros(3), S, middle - epsilon, middle + epsilon)
-    pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, UNLIMITED, 1, fresh_counts())
+    pi = update_coverage(mean, P, v_I, epsilon, 0.8, 1, velocity_memory())
     assert_allclose(pi, np.exp(log_pi), rtol=1e-8)
 
 
@@ -157,7 +156,7 @@ def test_of_a_noise_below_a_hundred_millionth_something_is_kept(relative, kept):
     state, P = NavState(), np.diag(np.repeat([1e-2, 1.0, 1.0, 1e-4, 1e-4], 3))
     noise = 3.0 * relative
     mean, covariance = state.pack(), P.copy()
-    update_velocity(mean, covariance, 0, state.v_I, noise * np.eye(3))
+    update_velocity(mean, covariance, 0, state.v_I, noise * np.eye(3), velocity_memory())
     wanted = noise / (1.0 + noise) + kept
     assert_allclose(np.diag(covariance)[3:6], wanted, rtol=1e-6)
 
@@ -170,7 +169,7 @@ def test_the_velocity_update_is_kalmans(case):
     wanted = state.pack()
     retract(wanted, K @ residual, 0)
     mean, covariance = state.pack(), P.copy()
-    distance = update_velocity(mean, covariance, 0, v_I, R)
+    distance = update_velocity(mean, covariance, 0, v_I, R, velocity_memory())
     assert_allclose(mean, wanted, atol=1e-12)
     assert_allclose(covariance, (np.eye(15) - K @ H) @ P, atol=1e-12)
     assert_allclose(distance, residual @ np.linalg.solve(S + R, residual), rtol=1e-10)

@@ -190,10 +190,6 @@ def test_bad_input_is_one_clear_line(walk, rows):
         (lambda: one.predict(np.zeros(2), np.zeros(3), 0.1), "gyro: shape"),
         (lambda: one.update_coverage(np.zeros(3), np.array([0.1, 0.0, 0.1]), 0.8), "epsilon"),
         (lambda: one.update_coverage(np.zeros(3), np.ones(3), 1.0), "gamma"),
-        (
-            lambda: one.update_coverage(np.zeros(3), np.ones(3), 0.8, max_error=np.zeros(3)),
-            "max_error",
-        ),
         (lambda: one.update_velocity(np.zeros(3), -np.eye(3)), "cov: is not positive definite"),
         (lambda: InvariantFilter(state, np.eye(9)), "covariance: shape"),
         (lambda: InvariantFilter(state, P + np.eye(15, k=1)), "covariance: is not symmetric"),

@@ -27,7 +27,7 @@ from surefoot.estimator.run import (
     imu_samples,
     trajectory,
 )
-from surefoot.estimator.updates.velocity import add_velocity
+from surefoot.estimator.updates.velocity import add_velocity, velocity_memory
 from surefoot.sim.common.gravity import GRAVITY, GRAVITY_G
 from surefoot.sim.log import Log, Meta
 
@@ -146,9 +146,10 @@ def test_windows_are_of_a_second():
 
 def test_updates_used_and_left_out_are_counted_apart():
     sums, residual, one = np.zeros((2, 10)), np.array([1.0, -2.0, 0.5]), np.eye(3)
-    note = np.zeros((7, 3))
+    memory = velocity_memory()
+    memory.counts[1] = 1
     for _ in range(3):
-        add_velocity(sums[0], note, False)
+        add_velocity(sums[0], memory, one)
     for _ in range(2):
         add_innovation(sums[1], 5.25, residual, 0.75 * one, 0.25 * one)
     assert_allclose(sums[0], [0, 3, 0, 0, 0, 0, 0, 0, 0, 0])

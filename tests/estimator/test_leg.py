@@ -248,23 +248,22 @@ def standing_foot():
     """Memory of a filter at rest with one foot on the ground, 0.3 m below, and the foot (1, 3)."""
     foot = np.array([[0.1, 0.0, -0.3]])
     memory = contact_memory(NavState().pack(1), np.diag(np.r_[np.full(15, 0.01), np.zeros(3)]))
-    update_contacts(memory, 1e9, foot, np.ones(1, dtype=bool), 1e-4 * np.eye(3)[None])
+    seen_again(memory, foot)
     return memory, foot
 
 
 def seen_again(memory, foot, contact=True, since=0.1):
-    """The foot is measured again after some time, without an IMU sample between."""
-    memory.clock[0] = since
-    update_contacts(memory, 1e9, foot, np.array([contact]), 1e-4 * np.eye(3)[None])
+    """The foot is measured after some time, without an IMU sample between; sums of this (1, 10)."""
+    memory.clock[0], sums = since, np.zeros((1, 10))
+    update_contacts(memory, 1e9, foot, np.array([contact]), 1e-4 * np.eye(3)[None], sums)
+    return sums
 
 
 def test_of_innovations_far_apart_only_the_last_counts():
     """Their running mean is then the last one, whitened: its square is the squared distance."""
     memory, foot = standing_foot()
-    before = 0.0
     for off in (0.02, -0.01, 0.03):
-        seen_again(memory, foot + off)
-        distance, before = memory.sums[0, 2] - before, memory.sums[0, 2]
+        distance = seen_again(memory, foot + off)[0, 2]
         assert_allclose(memory.drift[0] @ memory.drift[0], distance, rtol=1e-9)
 
 

@@ -8,11 +8,8 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.special import erf, log_ndtr, logsumexp
 
 from surefoot.estimator.box import _centre, _corner, box_moments
-from surefoot.estimator.moments.faces import Rectangle
 from surefoot.estimator.moments.line import (
     DEPTH,
-    About,
-    Conditional2,
     _fall,
     _window,
     line_moments,
@@ -84,9 +81,9 @@ def test_a_plane_bounded_along_its_second_axis_only(slope, low, high):
     m1, m2, s1, s2 = 0.2, -0.1, 0.9, 0.6
     c1, c2 = 0.3, low
     out = np.empty(6)
-    about = About(c1, c2, m1, 0.0, 28.0)
-    plane = Rectangle(-np.inf, np.inf, low, high)
-    plane_moments(Conditional2(m1, m2, s1, slope, s2), plane, about, out)
+    about = c1, c2, m1, 0.0, 28.0
+    plane = -np.inf, np.inf, low, high
+    plane_moments((m1, m2, s1, slope, s2), plane, about, out)
     nodes, weights = np.polynomial.legendre.leggauss(100)
     x, y = (m1 + 9.0 * s1 * nodes)[:, None], 0.5 * (low + high) + 0.5 * (high - low) * nodes
     off = (y - m2 - slope * (x - m1)) / s2

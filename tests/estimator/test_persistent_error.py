@@ -15,15 +15,10 @@ from surefoot.estimator.metrics import nees
 from surefoot.estimator.updates.bias_states import (
     EXTRAS,
     PersistentError,
-    PersistentModel,
     propagate_bias,
 )
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.velocity import (
-    UNLIMITED,
-    fresh_counts,
-    update_velocity_unless_outlier,
-)
+from surefoot.estimator.updates.velocity import UNLIMITED, update_velocity, velocity_memory
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -46,7 +41,7 @@ def gather(mean, P, samples, v_I, window):
     work = np.zeros((24, 6)), np.zeros((9, 3))
     for (gyro, accel), v in zip(samples, v_I, strict=True):
         propagate(mean, P, gyro, accel, 0.02, np.zeros((4, 3)), *work)
-        update_coverage(mean, P, v, np.ones(3), 0.8, 1, INF, window, fresh_counts())
+        update_coverage(mean, P, v, np.ones(3), 0.8, 1, velocity_memory(INF, window))
 
 
 def test_the_windows_mean_by_differences():
@@ -77,9 +72,8 @@ def test_it_wanders_as_gauss_and_markov_say():
     rng = np.random.default_rng(1)
     mean, P = prior(rng)
     C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
-    model = PersistentModel(C, tau, 1, INF)
     before, spread = mean.copy(), P.copy()
-    propagate_bias(mean, P, model, dt)
+    propagate_bias(mean, P, C, tau, dt)
     F = np.eye(24)
     F[15:18, 15:18] *= np.exp(-dt / tau)
     F[15:18, 21:] = (1 - np.exp(-dt / tau)) * np.eye(3)
@@ -88,16 +82,16 @@ def test_it_wanders_as_gauss_and_markov_say():
     assert_allclose(P, F @ spread @ F.T + Q, rtol=1e-12, atol=1e-18)
     assert_allclose(mean[7], before[9] + (before[7] - before[9]) * np.exp(-dt / tau))
     for _ in range(200):
-        propagate_bias(mean, P, model, dt)
+        propagate_bias(mean, P, C, tau, dt)
     assert_allclose(P[15:18, 15:18], C + spread[21:, 21:], rtol=1e-10, atol=1e-15)
     assert_allclose(mean[7], mean[9])
     lasting = PersistentError(C, tau, course=np.eye(3) * 4e-3)
     start = lasting.enter(np.eye(15))
     before = start.copy()
-    propagate_bias(mean, start, model, dt)
+    propagate_bias(mean, start, C, tau, dt)
     assert_allclose(start, before, rtol=1e-12, atol=1e-18, err_msg="the prior is stationary")
     spread = P.copy()
-    propagate_bias(mean, P, model._replace(time_constant=np.inf), dt)
+    propagate_bias(mean, P, C, np.inf, dt)
     assert_array_equal(P, spread)
 
 
@@ -107,13 +101,12 @@ def test_its_covariance_is_that_of_a_dense_step():
     A = rng.normal(size=(3, 3))
     for dt in (0.002, 3.0):
         mean, P = prior(rng)
-        model = PersistentModel(A @ A.T, 3.5, 10, INF)
         keep = np.exp(-dt / 3.5)
         phi, noise = np.eye(24), np.zeros((24, 24))
         phi[15:18, 15:18], phi[15:18, 21:24] = keep * np.eye(3), (1.0 - keep) * np.eye(3)
-        noise[15:18, 15:18] = (1.0 - keep**2) * model.covariance
+        noise[15:18, 15:18] = (1.0 - keep**2) * (A @ A.T)
         expected = phi @ P @ phi.T + noise
-        propagate_bias(mean, P, model, dt)
+        propagate_bias(mean, P, A @ A.T, 3.5, dt)
         assert_allclose(P, expected, rtol=0, atol=1e-15 * np.abs(expected).max())
         assert_array_equal(P[15:18, 15:18], P[15:18, 15:18].T)
 
@@ -199,7 +192,7 @@ def test_outliers_cost_it_less_than_the_same_filter_without_a_largest_error():
 
 
 def test_a_window_may_be_of_one():
-    assert PersistentError(np.eye(3), window=1).model().window == 1
+    assert PersistentError(np.eye(3), window=1).window == 1
 
 
 @pytest.mark.parametrize(
@@ -222,10 +215,8 @@ def test_what_is_no_persistent_error_is_one_line(values, says):
 def test_a_velocity_left_out_changes_nothing():
     mean, P = prior(np.random.default_rng(5))
     before = mean.copy(), P.copy()
-    counts = np.zeros(2, dtype=np.int64)
-    limit = np.full(3, 0.1), 5
-    far = np.full(3, 1e3)
-    found = update_velocity_unless_outlier(mean, P, far, np.eye(3), *limit, counts)
+    memory, far = velocity_memory(np.full(3, 0.1), 5), np.full(3, 1e3)
+    found = update_velocity(mean, P, 0, far, np.eye(3), memory)
     assert np.isnan(found)
     assert_array_equal(mean, before[0])
     assert_array_equal(P, before[1])
@@ -236,18 +227,18 @@ def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
     at the end it starts from zero, whatever the update made of it."""
     mean, P = NavState(v_GI=np.array([0.5, 0.0, 0.0])).pack(EXTRAS), np.zeros((24, 24))
     mean[7] = [0.0, 0.1, 0.0]
-    counts = fresh_counts()
+    memory = velocity_memory(window=3)
     off = np.array([[0.3, 0.0, -0.1], [0.1, -0.2, 0.0], [0.0, 0.0, 0.0]])
     expected, pi = mean[3] + mean[7], np.nan
     for k in range(3):
         bounds = np.full(3, 0.5)
-        pi = update_coverage(mean, P, expected + off[k], bounds, 0.8, 1, INF, 3, counts)
+        pi = update_coverage(mean, P, expected + off[k], bounds, 0.8, 1, memory)
         if k < 2:
             assert np.isnan(pi)
             assert_allclose(mean[8], -off[: k + 1].sum(axis=0) / 3, atol=1e-15)
     assert 0.0 <= pi <= 1.0
     assert_array_equal(mean[8], 0.0)
-    assert counts[0] == 0
+    assert memory.counts[0] == 0
 
 
 def test_a_largest_error_that_rejects_nothing_is_a_persistent_errors():

@@ -10,7 +10,7 @@ from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
-from surefoot.estimator.updates.velocity import UNLIMITED, fresh_counts
+from surefoot.estimator.updates.velocity import velocity_memory
 from surefoot.sim.common.errors import SurefootError
 
 
@@ -264,7 +264,7 @@ def test_iterations_stay_finite_on_far_boxes():
     mean, P = NavState().pack(), 1e-4 * np.eye(15)
     for k in range(300):
         v = 0.02 * rng.normal(size=3) + (0.4 if k % 50 == 25 else 0.0)
-        update_coverage(mean, P, v, np.full(3, 0.03), 0.8, 50, UNLIMITED, 1, fresh_counts())
+        update_coverage(mean, P, v, np.full(3, 0.03), 0.8, 50, velocity_memory())
         np.linalg.cholesky(P)
         P[3:6, 3:6] += 1e-6 * np.eye(3)
     assert np.isfinite(mean).all()

@@ -10,7 +10,7 @@ from synthetic import Body
 from surefoot.models.observer.architectures import BiGRU
 from surefoot.models.observer.network import Network, torch_features
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
@@ -92,11 +92,11 @@ def test_every_model_learns_and_comes_back_from_disk(model, walks, tmp_path):
     seen = observer_samples(walks["test"], observer.inputs)
     if model == "bigru":
         with pytest.raises(ObserverError, match="both ends"):
-            Loop(loaded)
+            loaded.running()
         return
-    loop = Loop(loaded)
+    loop = loaded.running()
     for m in range(80):
-        assert loop.step(seen.x[m])[0] == pytest.approx(ours.v_I[m], abs=1e-5)
+        assert loop(seen.x[m : m + 1])[0][0] == pytest.approx(ours.v_I[m], abs=1e-5)
 
 
 def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):

@@ -41,7 +41,7 @@ from surefoot.models.calibration.regions import (
     walk_enough,
 )
 from surefoot.models.calibration.settings import CalibrateSettings
-from surefoot.models.observer.predict import judged_prediction, prediction_errors
+from surefoot.models.observer.predict import judged, predict, prediction_errors
 from surefoot.models.observer.samples import RATE
 from surefoot.sim.log import LEGS, Log
 
@@ -181,13 +181,14 @@ def test_bounds_of_a_gml_observer_follow_what_it_predicts(gml_observer, walks):
     bounds = calibrate(gml_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
     assert bounds.scaled
     log = walks["test"]
-    rows, errors, covariance = judged_prediction(gml_observer, log, Body())
+    prediction = predict(gml_observer, log, Body())
+    rows, errors, covariance = judged(prediction, log)
     assert covariance is not None
     epsilon = bounds.epsilon_at(np.eye(3), covariance)
     std = np.sqrt(np.einsum("mii->mi", covariance))
     assert epsilon == pytest.approx(bounds.epsilon * std)
     inside = (np.abs(errors) <= epsilon).all(axis=1)
-    at, relative = bounded_errors(gml_observer, bounds, log, Body())
+    at, relative = bounded_errors(prediction, bounds, log, Body().R_BI)
     assert np.array_equal(at, rows)
     assert coverage(relative, bounds).joint == inside.mean()
     # In another frame: the same errors and statements, and a box around the same box.

@@ -9,7 +9,7 @@ from synthetic import Body
 
 from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head
 from surefoot.models.observer.network import Network
-from surefoot.models.observer.predict import Loop, predict
+from surefoot.models.observer.predict import predict
 from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
@@ -64,10 +64,10 @@ def test_pieces_give_the_bits_of_the_whole(model, loss, legs):
 def test_a_loop_gives_the_bits_of_the_whole_log(model, loss, walks):
     plan = TrainSettings(model=model, loss=loss, inputs="q,dq", steps=6, batch=2, every=3)
     observer = train(walks["fit"], Body(), plan)
-    whole, loop = predict(observer, walks["test"], Body()), Loop(observer)
-    steps = [loop.step(x) for x in observer_samples(walks["test"], observer.inputs).x]
-    assert np.array_equal([v_I for v_I, _ in steps], whole.v_I)
+    whole, loop = predict(observer, walks["test"], Body()), observer.running()
+    steps = [loop(x[None]) for x in observer_samples(walks["test"], observer.inputs).x]
+    assert np.array_equal(np.concatenate([v_I for v_I, _ in steps]), whole.v_I)
     if loss == "gml":
         covariances = [covariance for _, covariance in steps if covariance is not None]
         assert whole.covariance is not None
-        assert np.array_equal(covariances, whole.covariance)
+        assert np.array_equal(np.concatenate(covariances), whole.covariance)

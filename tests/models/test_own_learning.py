@@ -11,7 +11,7 @@ from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.calibration.empirical_coverage import coverage
 from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import Observer, ObserverError
-from surefoot.models.observer.predict import Loop, predict, prediction_errors
+from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import observer_samples
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
@@ -47,8 +47,8 @@ def test_an_own_network_is_offered_trained_and_run(tmp_path, learning):
         v_I = predict(loaded, test, Body()).v_I
         _, errors = prediction_errors(loaded, test, Body())
         assert np.sqrt((errors**2).mean(axis=0))[0] < test.ref_v.std(axis=0)[0]
-        loop, x = Loop(loaded), observer_samples(test, loaded.inputs).x
-        assert np.allclose([loop.step(row)[0] for row in x[:50]], v_I[:50], atol=1e-5)
+        loop, x = loaded.running(), observer_samples(test, loaded.inputs).x
+        assert np.allclose([loop(row[None])[0][0] for row in x[:50]], v_I[:50], atol=1e-5)
         assert "averages" in learning_choices(learning('model = "averages"'))["model"]
     with pytest.raises(ObserverError, match=r"unknown model 'averages'; known: gru, mlp"):
         Observer.load(path)
