@@ -83,6 +83,7 @@ def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch
     monkeypatch.setitem(ESTIMATORS.bundled, "mine", Mine)
     names = ["coverage", "coverage_persistent", "mine", "imu", "radar_leg"]
     columns = {"condition": "plain", "role": "test", "sequence": "walk", "seed": 0, "robot": "r"}
+    columns |= {compare.LOST_FROM: [None, 12.0, None, None, None]}
     columns |= {"coverage_n": 0, "coverage [%]": float("nan"), "fed_mean_x [m/s]": float("nan")}
     rows = pd.DataFrame({"filter": names, "APE_trans [m]": [0.4, 0.3, 0.1, 9.0, 0.01]})
     rows = rows.assign(**columns, NEES_pos=[3.0, 5.9, 6.1, 3.0, 3.0])
@@ -91,6 +92,7 @@ def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch
     assert "`mine` (0.100 m, plain)" in main
     assert "`coverage_persistent`" in rest
     assert "0.300 m (plain; lowest on 0 of 1" in rest
+    assert "not to be trusted on 1 of 1 (plain)" in rest
     assert "`coverage`, `coverage_persistent` (plain)" in rest  # within a factor of two of 3
     assert "radar_leg" not in text
     assert "imu" not in text
