@@ -164,6 +164,7 @@ class Calibrate(
             left_out_coverage,
             unseen_errors,
         )
+        from surefoot.models.calibration.regions import calibrator
         from surefoot.models.observer.observer import Observer
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.reporting.calibration_report import write_calibration_report
@@ -176,6 +177,7 @@ class Calibrate(
                 raise SurefootError(f"--{name}: needs --report DIR")
         if bool(self.walks) == bool(self.logs):
             raise SurefootError("give logs, or --walks")
+        calibrator(self.method, self.gamma, self.confidence)  # before the work, for a bad level
         recorded, others = (read_logs(paths, self.robot) for paths in (self.logs, self.on))
         if self.report:
             refuse_full(self.report, self.force)

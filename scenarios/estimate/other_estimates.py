@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surefoot.estimator.core.lie import hats
+from surefoot.estimator.core.lie import hat
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
@@ -30,6 +30,7 @@ from surefoot.sim.importing.reference import interpolate_reference, unit_quatern
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.derived import derivative
+from surefoot.sim.log.reference import Poses
 from surefoot.sim.robot import Robot
 
 _POSITION = ("p_x", "p_y", "p_z")
@@ -130,7 +131,7 @@ def _invariant(estimate: Trajectory, blocks: Mapping[str, np.ndarray]) -> np.nda
     for at, part in enumerate(_PARTS):
         in_world[:, 3 * at : 3 * at + 3, 3 * at : 3 * at + 3] = blocks.get(part, 0.0)
     J = np.broadcast_to(np.eye(9), (n, 9, 9)).copy()
-    J[:, 3:6, :3], J[:, 6:, :3] = hats(estimate.v_GI), hats(estimate.p_GI)
+    J[:, 3:6, :3], J[:, 6:, :3] = hat(estimate.v_GI), hat(estimate.p_GI)
     covariance = np.zeros((n, 15, 15))
     covariance[:, :9, :9] = J @ in_world @ J.swapaxes(1, 2)
     return covariance
@@ -167,9 +168,9 @@ def beside_reference(estimate: Trajectory, log: Log, name: str) -> tuple[Traject
             "not overlap; --offset is added to its stamps"
         )
     estimate = estimate.rows(inside)
-    q = quaternion_from_matrix(truth.R_GI)
-    p_GI, q, known = interpolate_reference(estimate.t, truth.t, truth.p_GI, q)
+    measured = Poses(truth.t, truth.p_GI, quaternion_from_matrix(truth.R_GI))
+    poses, known = interpolate_reference(estimate.t, measured)
     v_GI = np.column_stack([np.interp(estimate.t, truth.t, one) for one in truth.v_GI.T])
-    zeros = np.zeros_like(p_GI)
-    there = Trajectory(estimate.t, matrix_from_quaternion(q), v_GI, p_GI, zeros, zeros)
+    zeros = np.zeros_like(v_GI)
+    there = Trajectory(estimate.t, poses.R, v_GI, poses.p, zeros, zeros)
     return there.rows(known), estimate.rows(known)

@@ -11,10 +11,11 @@ from surefoot.scenarios.compare import LOST_FROM
 from surefoot.scenarios.estimate.estimators import traits
 from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
 from surefoot.scenarios.experiments.file import Experiment
+from surefoot.scenarios.reporting.tables import cell
 
 ERROR = "APE_trans [m]"
-SHOWN = {ERROR: "APE [m]", "NEES_pos": "NEES"}
-"""Columns of all rows, and their names in the table of the findings."""
+SHOWN = "APE [m] (NEES)"
+"""Contents of the table of the findings."""
 
 
 def suite_overview(rows: pd.DataFrame) -> pd.DataFrame:
@@ -23,11 +24,12 @@ def suite_overview(rows: pd.DataFrame) -> pd.DataFrame:
     """
     keys = ["robot", "filter"] if rows["robot"].nunique() > 1 else ["filter"]
     test = rows[rows["role"] == "test"]
-    columns = {
-        f"{shown}, {condition}": part.groupby(keys, sort=False)[column].mean()
-        for condition, part in test.groupby("condition", sort=False)
-        for column, shown in SHOWN.items()
-    }
+    columns = {}
+    for condition, part in test.groupby("condition", sort=False):
+        means = part.groupby(keys, sort=False)[[ERROR, "NEES_pos"]].mean()
+        columns[f"{SHOWN}, {condition}"] = means.apply(
+            lambda row: f"{cell(row[ERROR])} ({cell(row['NEES_pos'])})", axis=1
+        )
     return pd.DataFrame(columns).reset_index()
 
 

@@ -35,7 +35,7 @@ from surefoot.scenarios.stages import percent_bar
 from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
 from surefoot.scenarios.trace.observer_errors import (
     ErrorParts,
-    Tuned,
+    TunedErrors,
     error_parts,
     tuned_on_measured,
 )
@@ -164,10 +164,10 @@ def loop(
         except ObserverError as error:
             return str(error)
 
-    tuned: Tuned | str = "there is none"
+    tuned: TunedErrors | str = "there is none"
     if worlds[-1].learnt.observers:
         kept = _kept(out / "tuned.json", tune)
-        tuned = kept if isinstance(kept, str) else Tuned(**kept)
+        tuned = kept if isinstance(kept, str) else TunedErrors(**kept)
     return write_loop(log, robot, worlds, settings, choice, tuned)
 
 

@@ -24,7 +24,7 @@ from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace.observer_errors import (
     ERROR_PARTS,
     ErrorParts,
-    Tuned,
+    TunedErrors,
     excess,
     parts_table,
     recalibrated,
@@ -79,7 +79,7 @@ def write_loop(
     worlds: Sequence[LoopWorld],
     settings: LoopSettings,
     gait: GaitChoice,
-    tuned: Tuned | str,
+    tuned: TunedErrors | str,
 ) -> str:
     """Write table.md, tables (.csv), loop.json, report.html, loop.rrd and any page; returns the
     findings as text.
@@ -124,7 +124,7 @@ def write_loop(
     return markdown_report(LOOP_TITLE, sections[:1])
 
 
-def _of_observers(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> list[Section]:
+def _of_observers(worlds: Sequence[LoopWorld], tuned: TunedErrors | str) -> list[Section]:
     """Sections on the observers' errors, in simulation and on the measured walk, and on the
     coverage of their bounds.
     """
@@ -279,7 +279,7 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, worlds: Sequence[s
     return f"{main}\n\n{' '.join(rest)}"
 
 
-def observer_gain(worlds: Sequence[LoopWorld], tuned: Tuned | str) -> str:
+def observer_gain(worlds: Sequence[LoopWorld], tuned: TunedErrors | str) -> str:
     """One sentence: the mse observer's error on the measured walk after each step; empty without
     observers.
     """

@@ -136,7 +136,7 @@ def recalibrated(
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TunedErrors:
     """Observers tuned on each half of a measured walk, judged on the other.
 
     Attributes:
@@ -153,7 +153,7 @@ class Tuned:
 
 def tuned_on_measured(
     observer: Observer, bounds: Bounds, log: Log, robot: Robot, settings: TrainSettings
-) -> Tuned:
+) -> TunedErrors:
     """Tune an observer on each half of a measured walk and evaluate it on the other.
 
     Raises ObserverError where half of the log is too short.
@@ -178,9 +178,9 @@ def tuned_on_measured(
             judged.append(recalibrated(tuned, bounds, unseen, robot))
     rmse = root_mean_square(np.concatenate(moved))
     if len(judged) < len(halves):
-        return Tuned(rmse, None, None)
+        return TunedErrors(rmse, None, None)
     epsilons, held = zip(*judged, strict=True)
-    return Tuned(rmse, np.mean(epsilons, axis=0).tolist(), float(np.mean(held)))
+    return TunedErrors(rmse, np.mean(epsilons, axis=0).tolist(), float(np.mean(held)))
 
 
 def root_mean_square(errors: np.ndarray) -> list[float]:

@@ -265,7 +265,7 @@ def with_fault(rows: pd.DataFrame, case: ChangeCase, rng: np.random.Generator) -
     return rows
 
 
-def judged(case: ChangeCase, row: Mapping[str, Any]) -> str:
+def outcome_of(case: ChangeCase, row: Mapping[str, Any]) -> str:
     """Outcome of a case: right, not alone (another part is also possible), nothing, not
     identifiable, or wrong.
 
@@ -302,7 +302,7 @@ def counts_table(tried: Sequence[Tried]) -> pd.DataFrame:
     ends = ("right", "not alone", "nothing", "not identifiable", "wrong")
 
     def part(words: str, own: Callable[[ChangeCase], object]) -> dict[str, Any]:
-        found = [judged(case, row) for case, row in tried if own(case)]
+        found = [outcome_of(case, row) for case, row in tried if own(case)]
         return {"put in": words, "cases": len(found)} | {end: found.count(end) for end in ends}
 
     return pd.DataFrame([
@@ -353,7 +353,7 @@ def cases_table(tried: Sequence[Tried]) -> pd.DataFrame:
             "verdict": row["verdict"].replace("_", " "),
             "named": "; ".join(_sized((e["name"], e["target"]), e["value"]) for e in row["effects"])
             or "; ".join(row["reasons"][:1]),
-            "outcome": judged(case, row),
+            "outcome": outcome_of(case, row),
         }
         for case, row in tried
         if case.change or case.fault

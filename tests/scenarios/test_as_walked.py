@@ -110,7 +110,7 @@ def test_as_walked_a_course_keeps_its_length():
 
 def test_an_instance_draws_the_same_wherever_it_walks_and_others_draw_otherwise():
     suite = Experiment.load("vision60")
-    _, built, _ = suite.conditions
+    built = suite.conditions[1]
     walks = [Cell(s, "v60_class", built, 1).walk for s in suite.scenarios]
     assert all(walk.effects == walks[0].effects for walk in walks)
     assert len({walk.seed for walk in walks}) == len(walks)

@@ -97,5 +97,5 @@ def test_findings_rank_an_own_estimator_and_compare_the_proposed_one(monkeypatch
     assert "radar_leg" not in text
     assert "imu" not in text
     shown = suite_overview(rows).set_index("filter")
-    assert shown.loc["imu", "APE [m], plain"] == 9.0
-    assert list(shown.columns) == ["APE [m], plain", "NEES, plain"]
+    assert list(shown.columns) == ["APE [m] (NEES), plain"]
+    assert shown.loc["imu", "APE [m] (NEES), plain"] == "9.000 (3.000)"

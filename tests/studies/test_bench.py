@@ -11,6 +11,7 @@ from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
 from studies.bench.filter import BENCH_GAMMA, gtsam_filter, run_updates, trial, velocity_filter
 from studies.bench.run import bench
 from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.updates.velocity import velocity_memory
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.scenario import Scenario, Segment
@@ -64,7 +65,8 @@ def test_the_filter_with_samples_is_the_same_filter():
     for samples in (0, 5000):
         mean, covariance = trials.means[0].copy(), trials.covariance.copy()
         data = truth.t, trials.gyro[0], trials.accel[0], trials.v_I[0]
-        run_updates(*data, epsilon, mean, covariance, noise.packed(), shifts, samples)
+        memory = velocity_memory()
+        run_updates(*data, epsilon, mean, covariance, noise.packed(), memory, shifts, samples)
         ends.append(mean)
     whole = run_coverage(
         truth.t, trials.gyro[0], trials.accel[0], np.arange(1, 201), trials.v_I[0], epsilon,

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from studies.hardware import changes
-from studies.hardware.changes import ChangeCase, judged, with_change, with_fault
+from studies.hardware.changes import ChangeCase, outcome_of, with_change, with_fault
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.machine import load_machine
 
@@ -127,7 +127,7 @@ MASS, OTHER, OFF = ("link_mass", "phi"), ("link_mass", "tail"), ("encoder_offset
     ],
 )
 def test_an_outcome_is_right_on_its_body_and_a_sensor_is_no_mass(case, row, outcome):
-    assert judged(case, row) == outcome
+    assert outcome_of(case, row) == outcome
 
 
 def test_drawn_changes_are_of_every_kind_and_no_centre_of_mass_is_beyond_its_link():
@@ -162,7 +162,7 @@ def test_cases_are_tried_once_and_kept(machine, tmp_path, monkeypatch):
     monkeypatch.setattr(changes, "KINDS", ("link_mass",))
     monkeypatch.setattr(changes, "FAULTS", ("attitude off",))
     tried = changes.tried_cases(runs, each=1, faults=1)
-    assert [judged(case, row) for case, row in tried[:4]] == ["nothing"] * 4
+    assert [outcome_of(case, row) for case, row in tried[:4]] == ["nothing"] * 4
     counted = changes.counts_table(tried).set_index("put in")
     assert counted.cases.sum() == len(tried) == 8
     assert counted.wrong.sum() == 0
