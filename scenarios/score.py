@@ -81,7 +81,7 @@ def score(settings: ScoreSettings) -> pd.DataFrame:
         scored(_placed(read_estimate(path), log, settings), log, name)
         for path, name in zip(settings.estimates, _names(settings.estimates), strict=True)
     ]
-    table = pd.DataFrame([_row(log.name, one) for one in found])
+    table = pd.DataFrame([_row(one) for one in found])
     with whole_folder(settings.out, settings.force) as folder:
         write_whole(folder / "table.md", to_markdown(table) + "\n")
         write_whole(folder / "table.csv", to_csv(table))
@@ -133,12 +133,11 @@ def _placed(estimate: OtherEstimate, log: Log, settings: ScoreSettings) -> Other
     return replace(estimate, trajectory=moved)
 
 
-def _row(log: str, one: Scored) -> dict[str, Any]:
+def _row(one: Scored) -> dict[str, Any]:
     values = {SE3: one.metrics.ape_trans_se3, VELOCITY: one.metrics.velocity}
     inside = {INSIDE[name]: 100.0 * share for name, share in one.inside.items()}
     shared = {SHARED: one.metrics.duration}
-    named = {"log": log, "estimate": one.name}
-    return named | metrics_row(one.metrics) | values | inside | shared
+    return {"estimate": one.name} | metrics_row(one.metrics) | values | inside | shared
 
 
 def _sections(log: Log, found: Sequence[Scored], table: pd.DataFrame, kind: str) -> list[Section]:
@@ -165,9 +164,10 @@ def _sections(log: Log, found: Sequence[Scored], table: pd.DataFrame, kind: str)
         ),
     )
     glossary = [{"": name, "means": text} for name, text in _MEANINGS.items() if name in table]
+    marked = with_best_marked(table.assign(log=log.name)).drop(columns="log")
     made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     return [
-        Section("Errors, consistency and coverage", summary, with_best_marked(table), pictures),
+        Section("Errors, consistency and coverage", summary, marked, pictures),
         Section("How to read the table", "The best values are in bold.", glossary),
         Section("Made by", made_by),
     ]
