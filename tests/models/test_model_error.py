@@ -43,13 +43,14 @@ def rows_of(rng, deviation, noise, rows=40):
 
 
 def sums_of(rows, keys=KEYS):
+    name, target = keys[2]
     return RunSums(
         keys=keys,
         groups=GROUPS,
         sums=np.stack([A.T @ A for A in rows]),
         count=np.array([len(A) for A in rows], float),
         own=np.array([3]),
-        precision=np.array([(plausible_size(*keys[2], LIMBS) / 1.96) ** -2.0]),
+        precision=np.array([(plausible_size(name, target, LIMBS) / 1.96) ** -2.0]),
         rates={"shoulder": 0.1},
     )
 
