@@ -75,7 +75,7 @@ class FootElasticity(Effect):
     traced = _spring(
         channels=("leg_velocity", "foot_height"),
         step=1e-6,
-        needs=("q", "contact"),
+        needs=("q", "contact", "imu"),
         unseen_by=("joint_torque", "base_wrench", "joint_rate", "command"),
         prior=Prior(1e-4, "no figure of a robot's foot found: rubber and foam of 1e4 N/m"),
         motion="stand and shift the weight from foot to foot: a foot yields under load",

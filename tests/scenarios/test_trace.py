@@ -139,6 +139,12 @@ def test_without_legs_the_imu_is_still_traced(tmp_path):
     assert "gyro_scale x" in summary(found)
 
 
+def test_a_walk_without_an_imu_ends_in_a_verdict(tmp_path):
+    found = trace([without(log_with(), "gyro_", "accel_")], ROBOT, tmp_path / "out")
+    assert found.verdict in ("no_residual", "not_identifiable", "none_of_these")
+    assert not {"imu_gyro", "imu_accel"} & set(found.channels)
+
+
 def test_a_reference_that_covers_half_a_second_is_not_identifiable():
     log = log_with()
     known = log.with_columns({"ref_ok": (log.t > log.t[-1] - 0.5).astype(float)})
