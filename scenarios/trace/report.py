@@ -93,6 +93,9 @@ def sections(found: Trace) -> list[Section]:
         channel_row(name, vars(one)) | {"": state_of(one)}
         for name, one in found.unseen_channels.items()
     ]
+    sizes = [_sized(found, key, size) for key, size in found.least.items()]
+    title = "Least changes that would have been named in 95 of 100 such logs"
+    least = _given(title, [], sizes)
     return [
         _verdict(found, where),
         *([Section("What to do next", steps, steps=found.steps)] if found.steps else []),
@@ -100,6 +103,7 @@ def sections(found: Trace) -> list[Section]:
         *_given("Effects found", [named], _sizes(found, found.found)),
         *_given("Residual of each channel", [levels], residuals),
         *_given("Notes", first),
+        *(least if found.verdict == "unchanged" else [replace(one, folded=True) for one in least]),
         *(replace(one, folded=True) for one in _details(found, lacking, assumed)),
     ]
 
@@ -172,7 +176,6 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         _sized(found, (one.name, one.target), one.value) | {"because": why}
         for one, why in found.rejected
     ]
-    least = [_sized(found, key, size) for key, size in found.least.items()]
     left = [*beyond_bounds(found), *unexplained_in_words(found)]
     every = filter_rows(found.judged_filters, filters.REPORTED)
     return [
@@ -182,7 +185,6 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         *_given(_EVERY_METRIC, [], every),
         *_given("Zeros and clocks of each run", [], zeros),
         *_given("Considered and rejected", [], rejected),
-        *_given("Least changes that would have been named in 95 of 100 such logs", [], least),
     ]
 
 

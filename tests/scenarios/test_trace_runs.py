@@ -184,7 +184,8 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
           str(tmp_path / "new")])  # fmt: skip
     said = capsys.readouterr().out
     assert "verdict: unchanged" in said
-    assert "4 runs of the unchanged machine" in said
+    page = (tmp_path / "new" / "report.html").read_text()
+    assert "4 runs of the unchanged machine" in page
     assert "coulomb_friction" in said
     rubs = run(4, armature=0.03, friction=0.5)
     changed = trace_logs([rubs], PENDULUM, TraceOptions(declared=declared, since=since))
