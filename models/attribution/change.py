@@ -87,6 +87,7 @@ class Hypothesis:
         deviations: standard deviations of the sizes (k,), as the runs tell them.
         evidence: twice the logarithm of its odds against the unchanged machine.
         gain: reduction of the runs' squared error by it.
+        overlap: cosine between its first regressor and that of the explanation it is a rival of.
     """
 
     keys: tuple[Key, ...]
@@ -95,6 +96,7 @@ class Hypothesis:
     deviations: np.ndarray
     evidence: float
     gain: float
+    overlap: float = 1.0
 
     @property
     def excess(self) -> float:
@@ -116,8 +118,7 @@ class Change:
         verdict: unchanged, attributed, confounded or not_identifiable.
         reasons: why it is not better.
         found: effects of the change that is named.
-        rivals: first key of the other explanations that are as good, and the overlap of its
-            regressor with that of the change.
+        rivals: other explanations that are as good.
         least: for each effect, the least size that would have been named in 95 of 100 such runs.
         channels: residual of each channel, before and after the model's error, the runs' own zeros
             and the change are compensated, beside the noise that unchanged runs have.
@@ -127,7 +128,7 @@ class Change:
     verdict: str
     reasons: tuple[str, ...]
     found: tuple[Found, ...]
-    rivals: tuple[tuple[Key, float], ...]
+    rivals: tuple[Hypothesis, ...]
     least: dict[Key, float]
     channels: dict[str, ChannelLevel] = field(default_factory=dict)
     zeros: tuple[tuple[Found, ...], ...] = ()
@@ -277,14 +278,16 @@ def _best(
     rate = min(case.log.rate for case in cases)
     if not named or _is_sampling_lag(best, new.machine, rate):
         return Change("unchanged", (), (), (), least), new
-    others = _distinct([one for one in as_good if one is not best], best)
-    rivals = tuple((one.keys[0], new.overlap(one.keys[0], best.keys[0])) for one in others)
+    rivals = tuple(
+        replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
+        for one in _distinct([one for one in as_good if one is not best], best)
+    )
     low, high = interior_bounds(*best.keys[0], new.machine)
     if _is_lost_zero(best.keys) and not low < best.sizes[0] < high:
         return Change("not_identifiable", (_words(best),), (), rivals, least), new
-    sensors = [one for one in (best, *others) if one.of_sensor]
+    sensors = [one for one in (best, *rivals) if one.of_sensor]
     if sensors and not (best.of_sensor and len(best.keys) == 1):
-        reasons = [f"{_words(one)} explains these runs as well" for one in (*sensors, *others)]
+        reasons = tuple(f"{_words(one)} explains these runs as well" for one in (*sensors, *rivals))
         reasons = tuple(dict.fromkeys(reasons))
         return Change("not_identifiable", reasons, (), rivals, least), new
     verdict = "confounded" if rivals else "attributed"

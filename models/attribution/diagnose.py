@@ -41,6 +41,7 @@ from surefoot.models.attribution.forces import (
 )
 from surefoot.models.attribution.judgement import (
     ChannelLevel,
+    Findings,
     HeldOutRuns,
     Residuals,
     Unseen,
@@ -71,6 +72,11 @@ from surefoot.sim.common.files import plain_json
 from surefoot.sim.effects import Effect, in_order
 from surefoot.sim.log import Log
 from surefoot.sim.robot.machine import Machine
+
+ONLY_BETWEEN_FEET = (
+    "shows only as relative motion of feet in stance, as do effects that need a reference to be "
+    "identified: log a reference"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,10 +196,13 @@ class DiagnosisOptions:
     )
 
 
+DEFAULT_OPTIONS = DiagnosisOptions()
+
+
 def diagnose(
     logs: Sequence[Log],
     robot: Machine,
-    options: DiagnosisOptions = DiagnosisOptions(),
+    options: DiagnosisOptions = DEFAULT_OPTIONS,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Diagnosis:
     """Find which effects `robot` lacks as a model of the logs.
@@ -207,7 +216,8 @@ def diagnose(
     Without a reference, a walk is traced by the relative motion of feet in simultaneous stance and
     by the joints alone; the notes name what only a reference would show.
     """
-    seed, declared, since = options.seed, options.declared, options.since
+    seed, declared = options.seed, options.declared
+    since = options.since
     check_seed(seed)
     # The logs under the declared model. Zeros and clocks of several logs belong to each log.
     model = declared or ()
@@ -292,14 +302,16 @@ def diagnose(
     progress(0.95)
     curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
-        found,
-        channels,
-        imitated=result.imitated,
-        curves=bool(curves),
-        rivals=result.rivals,
-        pushes=pushes,
-        pushed_away=pushed_away,
-        limbs=robot.limbs,
+        Findings(
+            found=found,
+            channels=channels,
+            imitated=result.imitated,
+            curves=bool(curves),
+            rivals=result.rivals,
+            pushes=pushes,
+            pushed_away=pushed_away,
+            limbs=cases[0].robot.limbs,
+        )
     )
     if verdict == "attributed" and not all(case.motion.by_reference for case in cases):
         shown = _shown_between_feet(found)
@@ -329,7 +341,10 @@ def diagnose(
         masked_share=sides.weights.share,
         friction=friction,
         floor=floors.last.source,
-        rivals=_named_rivals(result.rivals),
+        rivals=tuple(
+            {"name": name, "target": target, "overlap": shared}
+            for (name, target), shared in result.rivals
+        ),
         notes=(
             *dead,
             *data_notes(cases, floors.plain),
@@ -427,11 +442,7 @@ def _shown_between_feet(found: Sequence[Found]) -> tuple[str, ...]:
     effects = [one.effect for one in found]
     by_feet = [e for e in effects if "leg_velocity" in e.traced_at(e.target).channels]
     names = ", ".join(f"{one.name} {one.target}" for one in by_feet)
-    why = (
-        "shows only as relative motion of feet in stance, as do effects that need a reference to "
-        "be identified: log a reference"
-    )
-    return (f"{names}: {why}",) if by_feet else ()
+    return (f"{names}: {ONLY_BETWEEN_FEET}",) if by_feet else ()
 
 
 def _still_explains(one: Effect, sides: Residuals, used: np.ndarray) -> bool:
@@ -484,14 +495,12 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
         channels=change.channels,
         averaged_over=MEAN_WINDOW if cases[0].fixed else BIN,
         floor=f"what no effect explains of {since.runs} runs of the unchanged machine",
-        rivals=_named_rivals(change.rivals),
+        rivals=tuple(
+            {"name": name, "target": target, "overlap": one.overlap}
+            for one in change.rivals
+            for name, target in one.keys[:1]
+        ),
         least=change.least,
-    )
-
-
-def _named_rivals(rivals: Sequence[tuple[Key, float]]) -> tuple[dict[str, Any], ...]:
-    return tuple(
-        {"name": name, "target": target, "overlap": shared} for (name, target), shared in rivals
     )
 
 

@@ -85,6 +85,11 @@ class Evidence:
     groups: frozenset[Key] = frozenset()
     reading_scale: tuple[tuple[float, ...], ...] = ()
 
+    @cached_property
+    def single(self) -> np.ndarray:
+        """Mask (C + B,) of the candidates and nuisance parameters that are no sum of others."""
+        return np.array([key not in self.groups for key in (*self.keys, *(None,) * len(self.Z))])
+
     def only(self, keys: Sequence[Key]) -> "Evidence":
         """The evidence restricted to these candidates."""
         X = tuple(self.X[self.keys.index(key)] for key in keys)

@@ -253,19 +253,24 @@ class Chosen:
         """Sizes of the effects (k,), each in its unit."""
         return np.array([one.value for one in self.effects])
 
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the sizes (k, k), with the error of the model."""
+        return self._covariance(())
+
+    @cached_property
+    def of_noise(self) -> np.ndarray:
+        """Covariance of the sizes (k, k) by noise alone."""
+        return self._covariance(None)
+
     def at(self, keys: Sequence[Key]) -> list[int]:
         """Places of these effects (k,)."""
         return [self.keys.index(key) for key in keys]
 
-    @cached_property
+    @property
     def deviations(self) -> np.ndarray:
-        """Standard deviations of the sizes (k,), with the error of the model."""
-        return self._deviations(())
-
-    @cached_property
-    def of_noise(self) -> np.ndarray:
-        """Standard deviations of the sizes (k,) by noise alone."""
-        return self._deviations(None)
+        """Standard deviations of the sizes (k,)."""
+        return np.sqrt(np.diag(self.covariance))
 
     @cached_property
     def between_blocks(self) -> np.ndarray:
@@ -281,9 +286,9 @@ class Chosen:
         S, pull = self.metric.products(self.table, self.X, self.keys), self.precision * self.sizes
         return self.misfit - float(pull @ np.linalg.pinv(S[1:, 1:], hermitian=True) @ pull)
 
-    def _deviations(self, without: tuple[()] | None) -> np.ndarray:
+    def _covariance(self, without: tuple[()] | None) -> np.ndarray:
         S = self.metric.products(self.table, self.X, without)[1:, 1:]
-        return np.sqrt(np.diag(np.linalg.pinv(S + np.diag(self.precision), hermitian=True)))
+        return np.linalg.pinv(S + np.diag(self.precision), hermitian=True)
 
 
 def problem_of(
@@ -347,7 +352,7 @@ def _unknown_size(key: Key, limbs: Limbs) -> float:
 def explain(
     problem: Problem,
     error: ModelError,
-    left: Callable[[Sequence[Effect], tuple[Key, ...]], np.ndarray],
+    left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray],
     harmful: Callable[[Metric, Problem, Sequence[Effect]], tuple[Effect, str] | None] = lambda *_: (
         None
     ),
@@ -565,14 +570,12 @@ class _Beside:
         evidence: of each, less its price (C,).
         sizes: (C,).
         deviations: standard deviations of the sizes (C,), infinite where nothing shows.
-        earned: as of `_State.earned` (C,).
     """
 
     S: np.ndarray
     evidence: np.ndarray
     sizes: np.ndarray
     deviations: np.ndarray
-    earned: np.ndarray
 
 
 def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Beside:
@@ -593,14 +596,18 @@ def _beside(state: _State, chosen: Chosen, instead_of: int | None = None) -> _Be
     seen[at - 1] = False
     d = np.where(seen, d, 1.0)
     evidence = b**2 / (d + precision) - np.log1p(d / precision) - problem.price
-    sizes, deviations = np.where(seen, b / (d + precision), 0.0), np.where(seen, d**-0.5, np.inf)
-    earned = state.earned(problem.keys, sizes, deviations)
-    return _Beside(S, np.where(seen, evidence, -np.inf), sizes, deviations, earned)
+    return _Beside(
+        S=S,
+        evidence=np.where(seen, evidence, -np.inf),
+        sizes=np.where(seen, b / (d + precision), 0.0),
+        deviations=np.where(seen, d**-0.5, np.inf),
+    )
 
 
 def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     """Every candidate of a round, those that earn a place first, by evidence."""
     problem = state.problem
+    earned = state.earned(problem.keys, beside.sizes, beside.deviations)
     total = max(float(beside.S[0, 0]), 1e-300)
     gains = beside.sizes * beside.S[1:, 0]
     every = np.arange(len(problem.keys))
@@ -620,7 +627,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
                     share=float(gains[i]) / total,
                     least=float(least[i]),
                     at_bound=bool(not low < beside.sizes[i] < high),
-                    earned=bool(min(beside.earned[i], beside.evidence[i]) > 0.0),
+                    earned=bool(earned[i] > 0.0 and beside.evidence[i] > 0.0),
                 )
             )
     return tuple(sorted(out, key=lambda one: not one.earned))
@@ -653,7 +660,8 @@ def _proposals(state: _State, beside: _Beside) -> Iterator[tuple[list[Key], np.n
     not so likely, others, since far from zero the first order may promise too much.
     """
     problem, keys = state.problem, state.problem.keys
-    every = able = (beside.evidence > 0.0) & (beside.earned > 0.0)
+    earned = state.earned(keys, beside.sizes, beside.deviations)
+    every = able = (beside.evidence > 0.0) & (earned > 0.0)
     if (first := able & problem.certain).any():
         # Others would absorb what every machine has.
         able = first
@@ -720,7 +728,8 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
             overlap = np.abs(S[own]) / np.sqrt(S[own, own] * np.diag(S))
         gains = beside.S[1:, 0] ** 2 / np.where(np.isfinite(beside.deviations), np.diag(S), np.inf)
         alike = (overlap > TWIN_OVERLAP) & (gains > gains[own] - NAMED)
-        able = (beside.earned > 0.0) & ((beside.evidence > beside.evidence[own]) | alike)
+        earned = state.earned(problem.keys, beside.sizes, beside.deviations)
+        able = (earned > 0.0) & ((beside.evidence > beside.evidence[own]) | alike)
         able[problem.at(chosen.keys)] = False
         able &= np.isfinite(beside.evidence)
         order = (int(i) for i in np.argsort(-beside.evidence) if able[i])
@@ -759,7 +768,7 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
 
 
 def _not_imitated(
-    state: _State, chosen: Chosen, left: Callable[[Sequence[Effect], tuple[Key, ...]], np.ndarray]
+    state: _State, chosen: Chosen, left: Callable[[Sequence[Effect], Sequence[Key]], np.ndarray]
 ) -> tuple[_State, Chosen]:
     """Drop the effects that the residual which the others leave once compensated may imitate; left
     as of `explain`.
@@ -938,7 +947,7 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
     left: standard deviations (k,) by what they leave once compensated.
     """
     at = state.problem.at(chosen.keys)
-    noise, both = chosen.of_noise**2, chosen.deviations**2 + left**2
+    noise, both = np.diag(chosen.of_noise), np.diag(chosen.covariance) + left**2
     runs = state.error.runs
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.problem.unknown[at] ** 2)

@@ -285,8 +285,8 @@ def outside_forces(
     pushes: list[Push] = []
     for number, case in enumerate(cases):
         own = known.log == number
-        of_kind, unit = (_torques_beyond, "N m") if case.fixed else (_force_on_base, "N")
-        force, share = of_kind(case, left[own], known.layout, known.table[own])
+        of_kind = _torques_beyond if case.fixed else _force_on_base
+        force, share, unit = of_kind(case, left[own], known.layout, known.table[own])
         there = np.flatnonzero(np.isfinite(share))
         if len(there) == 0:
             continue
@@ -309,36 +309,36 @@ def outside_forces(
 
 def _force_on_base(
     case: LogUnderModel, left: np.ndarray, layout: Layout, table: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residual force on the base of a walking robot: its magnitude (M,) and share of the weight
-    (M,).
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Residual force on the base of a walking robot: its magnitude (M,), share of the weight (M,),
+    and unit.
     """
     none = np.full(len(left), np.nan)
     if case.robot.legged is None or "base_wrench" not in layout:
-        return none, none
+        return none, none, "N"
     force = np.linalg.norm(left[:, layout.of("base_wrench")[:3]], axis=1)
     # In standing, the feet share the load differently; judge whichever of the two is more common.
     stands = np.isfinite(table[:, layout.by_leg("leg_velocity")]).all(axis=(1, 2))
     walks = ~stands if stands.mean() < 0.5 else stands
     weight = case.robot.legged.mass * GRAVITY
-    return force, np.where(walks, force, np.nan) / weight
+    return force, np.where(walks, force, np.nan) / weight, "N"
 
 
 def _torques_beyond(
     case: LogUnderModel, left: np.ndarray, layout: Layout, table: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, str]:
     """The same of a machine on a fixed base: residual torque (M,) of the joint where it is the
     largest share (M,) of the joint's peak torque.
     """
     none = np.full(len(left), np.nan)
     if not case.log.has("tau"):
-        return none, none
+        return none, none, "N m"
     torque = np.abs(left[:, layout.of("joint_torque")])
     peak = np.maximum(np.abs(case.log.tau).max(axis=0), 1e-9)
     share = torque / peak
     worst = np.argmax(np.nan_to_num(share), axis=1)[:, None]
     torque, share = (np.take_along_axis(one, worst, 1)[:, 0] for one in (torque, share))
-    return torque, share
+    return torque, share, "N m"
 
 
 def pushed_bins(

@@ -420,19 +420,11 @@ class HeldOutRuns:
     runs: tuple[FittedRun, ...]
 
 
-def verdict_of(
-    found: Sequence[Found],
-    channels: dict[str, ChannelLevel],
-    imitated: frozenset[Key] = frozenset(),
-    curves: bool = False,
-    rivals: Sequence[object] = (),
-    pushes: Sequence[Push] = (),
-    pushed_away: Sequence[Found] = (),
-    limbs: Limbs | None = None,
-) -> tuple[str, tuple[str, ...]]:
-    """The verdict and its reasons; `no_residual` and `attributed` have none.
+@dataclass(frozen=True)
+class Findings:
+    """What a verdict rests on.
 
-    Args:
+    Attributes:
         found: effects, strongest first.
         channels: residuals on data that no fit has seen.
         imitated: keys of the effects that what the others leave may imitate.
@@ -442,33 +434,46 @@ def verdict_of(
         pushed_away: effects that explain nothing but outside forces.
         limbs: of the machine, on which bounds depend.
     """
+
+    found: Sequence[Found]
+    channels: dict[str, ChannelLevel]
+    imitated: frozenset[Key] = frozenset()
+    curves: bool = False
+    rivals: Sequence[object] = ()
+    pushes: Sequence[Push] = ()
+    pushed_away: Sequence[Found] = ()
+    limbs: Limbs | None = None
+
+
+def verdict_of(findings: Findings) -> tuple[str, tuple[str, ...]]:
+    """The verdict and its reasons; `no_residual` and `attributed` have none."""
+    found, channels, pushes = findings.found, findings.channels, findings.pushes
     above = [name for name, c in channels.items() if not c.at_floor or c.worse]
     reasons = [f"{name}: {_above(channels[name])}" for name in above]
-    if curves:
+    if findings.curves:
         reasons.append("a joint's encoder error varies with its angle")
     reasons += [
         f"{one.effect.name} {one.effect.target}: its size is at its bound"
         for one in found
-        if _at_bound(one.effect, limbs)
+        if _at_bound(one.effect, findings.limbs)
     ]
     if reasons:
         return "none_of_these", tuple(reasons)
-    if pushes and (pushed_away or not found):
-        explained = [
-            f"{one.effect.name} {one.effect.target}: explains nothing but outside forces"
-            for one in pushed_away
-        ]
+    if pushes and (findings.pushed_away or not found):
+        names = [f"{one.effect.name} {one.effect.target}" for one in findings.pushed_away]
+        explained = [f"{name}: explains nothing but outside forces" for name in names]
         return "not_identifiable", (*explained, *(one.in_words() for one in pushes))
     if not found:
         return "no_residual", ()
     if not _gains([one.effect for one in found], channels):
-        return "not_identifiable", ("the effects found do not reduce the residual on unseen data",)
-    doubts = tuple(
+        why = "the effects found do not reduce the residual on unseen data"
+        return "not_identifiable", (why,)
+    imitated = [
         f"{one.effect.name} {one.effect.target}: what the other effects leave may imitate it"
         for one in found
-        if (one.effect.name, one.effect.target) in imitated
-    )
-    return ("confounded" if rivals or doubts else "attributed"), doubts
+        if (one.effect.name, one.effect.target) in findings.imitated
+    ]
+    return ("confounded" if findings.rivals or imitated else "attributed"), tuple(imitated)
 
 
 def _above(c: ChannelLevel) -> str:

@@ -144,9 +144,10 @@ class Metric:
         """Sizes of the columns of F in each log, beside effects of given sizes (C,)."""
         kept, out = np.ones(len(self.places), bool) if terms else ~self.terms, []
         at = 1 + self.places[kept]
-        for G, inverse in zip(self.grams, self._inverses_of(kept), strict=True):
+        for G in self.grams:
+            inner = G[np.ix_(at, at)] + self.precision[np.ix_(kept, kept)]
             right = G[at, 0] if sizes is None else G[at, 0] - G[at, 1 : 1 + len(sizes)] @ sizes
-            out.append(inverse @ right)
+            out.append(scaled_inverse(inner) @ right)
         return out
 
     def products(
@@ -234,7 +235,7 @@ def metric_of(
     data, layout, limbs = design(known), known.layout, cases[0].robot.limbs
     floor = noise_of(error, layout)
     unknown, floor = np.isnan(floor), np.nan_to_num(floor, nan=1e-12)
-    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and key not in known.groups]
+    own = [i for i, key in enumerate(known.keys) if key[0] in per_run and known.single[i]]
     robust = robust_weights(_with_own(known, own), floor)
     if not robust_to_outliers:
         robust = replace(robust, weight=data.there.astype(float), sigma=floor)

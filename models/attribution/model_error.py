@@ -98,9 +98,7 @@ class RunSums:
         groups: channel and kind of the columns of each group, which have one noise.
         sums: Gram matrices (G, 1 + P + B, 1 + P + B) of residual, candidates and nuisance.
         count: number of entries of each group (G,).
-        own: rows in the sums of what belongs to the run (n,): zeros, biases and other nuisance
-            parameters.
-        precision: of their prior (n,).
+        nuisance: precision of the nuisance parameters (B,).
         rates: joint -> largest difference between the slope of its angle and its rate, averaged
             over a window [rad/s]; of a machine on a fixed base.
         simulated: whether it is a walk of the model, whose sensors and clocks are as declared.
@@ -111,11 +109,15 @@ class RunSums:
     groups: tuple[tuple[str, str], ...]
     sums: np.ndarray
     count: np.ndarray
-    own: np.ndarray
-    precision: np.ndarray
+    nuisance: np.ndarray
     rates: dict[str, float]
     simulated: bool = False
     least: np.ndarray | float = 0.0
+
+    @property
+    def zeros(self) -> list[Key]:
+        """The candidates that every run has at a size of its own."""
+        return [] if self.simulated else [key for key in self.keys if key[0] in PER_RUN]
 
     def of_groups(self, groups: Sequence[tuple[str, str]]) -> "RunSums":
         """The sums restricted to these groups."""
@@ -124,6 +126,10 @@ class RunSums:
         return replace(
             self, groups=tuple(groups), sums=self.sums[at], count=self.count[at], least=least
         )
+
+    def whitened(self, noise: np.ndarray) -> np.ndarray:
+        """Gram matrix of all rows in units of each group's noise (G,)."""
+        return np.tensordot(noise**-2.0, self.sums, 1)
 
     def places(self, keys: Sequence[Key]) -> list[int]:
         """Rows of these keys in the sums."""
@@ -203,7 +209,7 @@ def sums_of(
         rates: as of `RunSums`.
         simulated: whether it is a walk of the model.
     """
-    table, layout, limbs = design(known), known.layout, case.robot.limbs
+    table, layout = design(known), known.layout
     used = layout.of("joint_torque") if case.fixed else layout.fitted
     least = 0.0 if case.fixed else LEAST_NOISE * layout.noise(case.log.rate)
     floor = np.broadcast_to(least, layout.width)
@@ -216,16 +222,12 @@ def sums_of(
             sums.append(table.grams(table.y, np.sqrt(weight), here, every)[0])
             count.append(np.count_nonzero(weight[:, here]))
             kept.append(floor[here].min())
-    # A walk of the model has no zeros of its own.
-    zeros = [] if simulated else [i for i, (name, _) in enumerate(known.keys) if name in PER_RUN]
-    of_zeros = [(plausible_size(*known.keys[i], limbs) / 1.96) ** -2.0 for i in zeros]
     return RunSums(
         keys=known.keys,
         groups=tuple(groups),
         sums=np.array(sums),
         count=np.array(count, float),
-        own=1 + np.array([*zeros, *range(len(known.keys), table.size)], int),
-        precision=np.append(of_zeros, nuisance_precision(known)),
+        nuisance=nuisance_precision(known),
         rates=rates,
         simulated=simulated,
         least=np.array(kept),
@@ -318,7 +320,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         most = np.array([plausible_size(*key, limbs) / 1.96 for key in terms])
         D = 1.0 / (1.0 / D + most**-2.0)
         most_a, settled = 1.0, _NEARLY
-    parts = [_Part.of(run, terms) for run in runs]
+    parts = [_Part.of(run, terms, limbs) for run in runs]
     a, b, noise = _START[0], _START[1], _START[2] * scale
     before, posterior = np.inf, None
     for round_ in range(_ROUNDS):
@@ -343,7 +345,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         noise=dict(zip(first.groups, noise.tolist(), strict=True)),
         rates={joint: max(run.rates[joint] for run in runs) for joint in first.rates},
     )
-    return _with_spread(runs, found, a**2 * D, b**2 * D)
+    return _with_spread(runs, found, a**2 * D, b**2 * D, limbs)
 
 
 @dataclass(frozen=True)
@@ -365,10 +367,11 @@ class _Part:
     count: np.ndarray
 
     @staticmethod
-    def of(run: RunSums, terms: Sequence[Key]) -> "_Part":
-        use = [*run.places(terms), *run.own]
+    def of(run: RunSums, terms: Sequence[Key], limbs: Limbs) -> "_Part":
+        use = [*run.places(terms), *own_places(run)]
         gram = run.sums[:, use][:, :, use].reshape(len(run.sums), -1)
-        return _Part(run.precision, run.sums[:, 0, 0], run.sums[:, use, 0], gram, run.count)
+        own = own_precision(run, limbs)
+        return _Part(own, run.sums[:, 0, 0], run.sums[:, use, 0], gram, run.count)
 
 
 @dataclass(frozen=True)
@@ -429,24 +432,40 @@ def _posterior(
     )
 
 
-def against_unchanged(run: RunSums, known: ModelError) -> np.ndarray:
+def own_places(run: RunSums) -> list[int]:
+    """Rows in the sums of what belongs to the run: zeros, biases and other nuisance parameters."""
+    first = 1 + len(run.keys)
+    return [*run.places(run.zeros), *range(first, first + len(run.nuisance))]
+
+
+def own_precision(run: RunSums, limbs: Limbs) -> np.ndarray:
+    """Prior precision of each of `own_places`."""
+    of_zeros = [(plausible_size(*key, limbs) / 1.96) ** -2.0 for key in run.zeros]
+    return np.append(of_zeros, run.nuisance)
+
+
+def against_unchanged(run: RunSums, known: ModelError, limbs: Limbs) -> np.ndarray:
     """a' V^-1 b (1 + P, 1 + P) of the residual less its mean and of all candidates, V the
     covariance of a run of the unchanged machine.
     """
-    noise = np.array([known.noise[group] for group in run.groups])
-    G = np.tensordot(noise**-2.0, run.sums, 1)
+    G = run.whitened(np.array([known.noise[group] for group in run.groups]))
     # The residual less the mean error of the model.
     turned = np.eye(len(G))
     turned[run.places(known.keys), 0] = -known.mean
     G = turned.T @ G @ turned
-    use, first = [*run.places(known.keys), *run.own], 1 + len(run.keys)
-    prior = np.asarray(block_diag(np.linalg.inv(known.covariance), np.diag(run.precision)))
+    use, first = [*run.places(known.keys), *own_places(run)], 1 + len(run.keys)
+    own = np.diag(own_precision(run, limbs))
+    prior = np.asarray(block_diag(np.linalg.inv(known.covariance), own))
     cross = G[use, :first]
     return G[:first, :first] - cross.T @ np.linalg.solve(G[np.ix_(use, use)] + prior, cross)
 
 
 def _with_spread(
-    runs: Sequence[RunSums], known: ModelError, common: np.ndarray, per_run: np.ndarray
+    runs: Sequence[RunSums],
+    known: ModelError,
+    common: np.ndarray,
+    per_run: np.ndarray,
+    limbs: Limbs,
 ) -> ModelError:
     """The error with the variance by which each effect's apparent size differs between runs beyond
     its error, such as that of a delay, which is no term; and the common sizes beside these.
@@ -456,12 +475,13 @@ def _with_spread(
         known: the error by the terms alone.
         common: prior variances of the terms (C,).
         per_run: variances of what runs have beyond the common sizes (C,).
+        limbs: of the machine.
     """
     other = {ANGLE_ERROR, *(EXACT if runs[0].simulated else PER_RUN)}
     keys = [key for key in runs[0].keys if key[0] not in other]
     place, square = runs[0].places(keys), np.zeros(len(keys))
     for run in runs:
-        S = against_unchanged(run, known)
+        S = against_unchanged(run, known, limbs)
         information = np.maximum(np.diag(S)[place], 1e-300)
         square += (S[0, place] / information) ** 2 - 1.0 / information
     # Seen by the fit, a run is nearer to the common sizes than a new one.
@@ -471,7 +491,7 @@ def _with_spread(
     per_run = np.append(per_run + np.maximum([spread[key] for key in known.keys], 0.0), added)
     every = (*known.keys, *more)
     noise = np.array([known.noise[group] for group in runs[0].groups])
-    parts = [_Part.of(run, every) for run in runs]
+    parts = [_Part.of(run, every, limbs) for run in runs]
     beside = _posterior(parts, np.append(common, added), per_run, noise)
     covariance = 0.5 * (beside.covariance + beside.covariance.T) + np.diag(per_run)
     return replace(known, keys=every, mean=beside.mean, covariance=covariance)
@@ -480,8 +500,7 @@ def _with_spread(
 def _is_term(key: Key, run: RunSums, limbs: Limbs) -> bool:
     """Whether an effect is an error of the model, and no sum of others."""
     name, target = key
-    never = EXACT if run.simulated else NO_TERMS | PER_RUN
-    if name in never or name == ANGLE_ERROR:
+    if name in (EXACT if run.simulated else NO_TERMS) or key in run.zeros or name == ANGLE_ERROR:
         return False
     return target in known_effects()[name].single_targets(limbs)
 

@@ -6,7 +6,7 @@ what remains when the model lacks nothing.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -173,7 +173,7 @@ class FloorPlan:
     catalogue: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class NoiseFloor:
     """Residual of a robot that matches its model.
 
@@ -195,22 +195,29 @@ class NoiseFloor:
     readings: tuple[LogUnderModel, ...] = ()
     levels: Mapping[str, float] = field(default_factory=dict)
 
+    def apparent_variances(self, keys: Sequence[Key]) -> np.ndarray:
+        """Variances (k,) of the sizes that candidates seem to have in the walks beyond those which
+        these have, as far as noise hardly explains them; zeros without walks.
+        """
+        known = self._variances.get(tuple(keys))
+        if known is not None:
+            return known
+        if not self.walks or not keys:
+            return np.zeros(len(keys))
+        sigma = noise_of(self.error, layout_for(self.walks[0].case.robot.limbs))
+        sizes, noise = zip(*(one.apparent_sizes(keys, sigma) for one in self.walks), strict=True)
+        n = len(self.walks)
+        by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
+        found = np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0)
+        return self._variances.setdefault(tuple(keys), found)
 
-@lru_cache(maxsize=32)
-def apparent_variances(floor: NoiseFloor, keys: tuple[Key, ...]) -> np.ndarray:
-    """Variances (k,) of the sizes that candidates seem to have in the walks of a floor beyond those
-    which these have, as far as noise hardly explains them; zeros without walks.
-    """
-    if not floor.walks or not keys:
-        return np.zeros(len(keys))
-    sigma = noise_of(floor.error, layout_for(floor.walks[0].case.robot.limbs))
-    sizes, noise = zip(*(one.apparent_sizes(keys, sigma) for one in floor.walks), strict=True)
-    n = len(floor.walks)
-    by_chance = chi2.ppf(0.95, n) / n * np.mean(noise, axis=0)
-    return np.maximum(np.mean(np.square(sizes), axis=0) - by_chance, 0.0)
+    @cached_property
+    def _variances(self) -> dict[tuple[Key, ...], np.ndarray]:
+        """Results of `apparent_variances`, which a search asks for again and again."""
+        return {}
 
 
-def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: tuple[Key, ...]) -> np.ndarray:
+def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: Sequence[Key]) -> np.ndarray:
     """Standard deviations (k,) of the sizes that candidates seem to have in what effects leave once
     they are compensated, beyond those that they seem to have without.
 
@@ -221,7 +228,7 @@ def left_deviations(plain: NoiseFloor, floor: NoiseFloor, keys: tuple[Key, ...])
     """
     if floor is plain:
         return np.zeros(len(keys))
-    more = apparent_variances(floor, keys) - apparent_variances(plain, keys)
+    more = floor.apparent_variances(keys) - plain.apparent_variances(keys)
     return np.sqrt(np.maximum(more, 0.0))
 
 

@@ -5,6 +5,7 @@ landing foot stops within a millisecond; a lifting foot is unloaded for a while 
 is sensed as lifted in that time. A foot that slides as it lands does not show when.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,8 @@ NEARLY_ALL = 95.0
 """Percentile of the delays by which nearly all contacts have begun."""
 CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
+CLOSE_WINDOW = 0.024
+"""Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
@@ -60,7 +63,7 @@ def contact_timing(
     # A debounced contact begins late by the debounce time.
     begins = USUAL_DELAY[0] + log.meta.model.get("contact_debounce", 0.0) + extras.touchdown_late
     usual = (begins, USUAL_DELAY[1] + extras.liftoff_late)
-    for leg, (change, at, when, lifts) in enumerate(moves):
+    for leg, (change, (at, when, lifts)) in enumerate(moves):
         behind = 0.5 * (log.t[change] + log.t[change - 1]) - when
         known = np.isfinite(when)
         bins = np.searchsorted(motion.first, at[known], side="right") - 1
@@ -102,26 +105,67 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Machine) -> Referen
 
 def _all_motion_changes(
     log: Log, feet: Feet, motion: ReferenceMotion
-) -> list[tuple[np.ndarray, ...]]:
-    """Rows at which each foot's contact changes, and `motion_changes` there."""
-    rows, bounce, slide = (
-        round(time * log.rate) for time in (CHANGE_WINDOW, SHORTEST_FLIGHT, LEAST_SHIFT)
+) -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Rows at which each foot's contact changes, and `motion_changes` there.
+
+    Most feet stop and start close to the change of contact, so the search goes on into the stance
+    only for those that do not.
+    """
+    rows, close, bounce, slide = (
+        round(time * log.rate)
+        for time in (CHANGE_WINDOW, CLOSE_WINDOW, SHORTEST_FLIGHT, LEAST_SHIFT)
     )
-    window = max(1, rows), bounce, max(FEWEST_ROWS, slide)
-    speeds, found = speeds_over_ground(log, feet, motion), []
-    for leg, stands in enumerate(log.contact.T):
-        turns = changes(stands)
-        found.append((turns, *motion_changes(log.t, stands, *speeds[:, :, leg], turns, *window)))
-    return found
+    rows, close, slide, contact = max(1, rows), max(1, close), max(FEWEST_ROWS, slide), log.contact
+    turns = [changes(stands) for stands in contact.T]
+    where = near_changes(turns, contact, rows, close) & motion.ok[:, None]
+    speeds = speeds_over_ground(log, feet, motion, where)
+
+    def search() -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        return [
+            (
+                turn,
+                motion_changes(
+                    log.t, contact[:, leg], *speeds[:, :, leg], turn, rows, bounce, slide
+                ),
+            )
+            for leg, turn in enumerate(turns)
+        ]
+
+    moves = search()
+    left = [turn[np.isnan(when) & (at > 0)] for turn, (at, when, _) in moves]
+    more = near_changes(left, contact, rows, rows) & motion.ok[:, None] & ~where
+    if not more.any():
+        return moves
+    speeds = np.where(more, speeds_over_ground(log, feet, motion, more), speeds)
+    return search()
 
 
-def speeds_over_ground(log: Log, feet: Feet, motion: ReferenceMotion) -> np.ndarray:
+def near_changes(
+    turns: Sequence[np.ndarray], contact: np.ndarray, in_swing: int, in_stance: int
+) -> np.ndarray:
+    """Mask (N, L) of the rows near a contact change of each foot: within `in_swing` rows while it
+    swings, and within `in_stance` while it stands.
+    """
+    n = len(contact)
+    near = np.zeros((n, len(turns)), dtype=bool)
+    for leg, change in enumerate(turns):
+        after = np.where(contact[change, leg], in_stance, in_swing)
+        before = in_swing + in_stance - after
+        count = np.zeros(n + 1, dtype=int)
+        np.add.at(count, np.maximum(change - before - 1, 0), 1)
+        np.add.at(count, np.minimum(change + after + 1, n), -1)
+        near[:, leg] = np.cumsum(count[:-1]) > 0
+    return near
+
+
+def speeds_over_ground(
+    log: Log, feet: Feet, motion: ReferenceMotion, where: np.ndarray
+) -> np.ndarray:
     """Speeds (2, N, L) [m/s] of the feet's contact points over the ground, and along its normal
-    (positive towards it); NaN in rows without a reference.
+    (positive towards it), where `where` (N, L); NaN elsewhere.
     """
     omega = at_rows(log.gyro if log.has("imu") else motion.gyro)
-    known = np.repeat(motion.ok[:, None], log.contact.shape[1], axis=1)
-    v = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, known)
+    v = feet.imu_velocity(*feet.readings(log), omega, motion.normal_I, where)
     x, y, z = np.moveaxis(v - motion.v_I[:, None], 2, 0)
     a, b, c = motion.normal_I.T[:, :, None]
     # Unlike a norm over the last axis, fast.
@@ -147,9 +191,9 @@ def motion_changes(t, stands, speed, nearing, changes, rows, bounce, slide):
             slides.
 
     Returns:
-        The row and the time [s] of each, NaN where not seen within `rows`, where the foot bounced
-        or slid, or where the search ended at a row without a speed; and whether the foot lifts,
-        (K,) each.
+        The row and the time [s] of each, NaN where not seen within `rows` or where the foot bounced
+        or slid, and whether the foot lifts, (K,) each. Where the search ended at a row without a
+        speed, that row, and NaN for the time.
     """
     at, when = np.zeros(len(changes), np.int64), np.full(len(changes), np.nan)
     lifts = np.zeros(len(changes), np.bool_)
@@ -175,7 +219,8 @@ def motion_changes(t, stands, speed, nearing, changes, rows, bounce, slide):
             if not lifts[k] and abs(np.mean(nearing[max(0, row - slide) : row])) < NEARING_SPEED:
                 break
             at[k] = row
-            share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])
-            when[k] = t[row] + share * (t[row - step] - t[row])
+            if np.isfinite(speed[row]):
+                share = (STANDING_SPEED - speed[row]) / (speed[row - step] - speed[row])
+                when[k] = t[row] + share * (t[row - step] - t[row])
             break
     return at, when, lifts

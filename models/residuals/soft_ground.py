@@ -83,13 +83,23 @@ def foot_sinking(
     rows = [interpolate_rows(log.t, bins.t, swept_G), load[..., None]]
     rows = np.nan_to_num(np.concatenate(rows, axis=2))
 
-    above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], robot.feet_I(log.q))
-    height, dq = motion.p_GI[:, 2, None] + above, joint_velocity(log)
+    def height_and_stances() -> tuple[np.ndarray, list[Stances]]:
+        above = np.einsum("nj,nlj->nl", motion.R_GI[:, 2], robot.feet_I(log.q))
+        dq, legs = joint_velocity(log), range(load.shape[1])
+        stances = [foot_stances(log, robot, motion, leg, dq) for leg in legs]
+        return motion.p_GI[:, 2, None] + above, stances
+
+    # The same for every softness.
+    height, stances = log.once(
+        "height of feet, and stances",
+        ["q", "dq", "contact"],
+        height_and_stances,
+        *(motion, robot.legs, robot.foot_radius, robot.R_BI, robot.p_BI),
+    )
     model = robot.dynamics.model  # with the declared masses
     give = [model.body_invweight0[model.body(name).id, 0] for name in robot.foot_bodies]  # 1/kg
     depth, v_G = np.zeros(height.shape), np.zeros((*height.shape, 3))
-    for leg in range(load.shape[1]):
-        s = foot_stances(log, robot, motion, leg, dq)
+    for leg, s in enumerate(stances):
         for T, sign in ((SOLREF[0] + robot.extras.softness, 1.0), (SOLREF[0], -1.0)):
             moved = (depth[:, leg], v_G[:, leg])
             _add_stances(log.t, height[:, leg], rows[:, leg], s, give[leg], T, sign, *moved)

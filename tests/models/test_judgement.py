@@ -9,6 +9,7 @@ from surefoot.models.attribution.effect_sizes import Found, plausible_size, pric
 from surefoot.models.attribution.forces import Push
 from surefoot.models.attribution.judgement import (
     ChannelLevel,
+    Findings,
     _by_chance,
     scatter_of_rms,
     verdict_of,
@@ -30,7 +31,7 @@ def level(before, after, floor=1.0, highest=1.1):
 
 def verdict(found, before, after, **more):
     levels = {"leg_velocity": level(before, after)}
-    return verdict_of(found, levels, **more)
+    return verdict_of(Findings(found, levels, **more))
 
 
 def test_what_explains_the_residual_down_to_its_floor_is_attributed():

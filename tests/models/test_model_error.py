@@ -8,7 +8,6 @@ import pytest
 from pendulum import swung
 
 from surefoot.models.attribution.diagnose import logs_under_model
-from surefoot.models.attribution.effect_sizes import plausible_size
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.model_error import (
     MEAN_WINDOW,
@@ -20,6 +19,7 @@ from surefoot.models.attribution.model_error import (
     model_error,
     model_error_as_dict,
     model_error_from_dict,
+    own_precision,
     run_sums,
     window_weights,
 )
@@ -43,14 +43,12 @@ def rows_of(rng, deviation, noise, rows=40):
 
 
 def sums_of(rows, keys=KEYS):
-    name, target = keys[2]
     return RunSums(
         keys=keys,
         groups=GROUPS,
         sums=np.stack([A.T @ A for A in rows]),
         count=np.array([len(A) for A in rows], float),
-        own=np.array([3]),
-        precision=np.array([(plausible_size(name, target, LIMBS) / 1.96) ** -2.0]),
+        nuisance=np.zeros(0),
         rates={"shoulder": 0.1},
     )
 
@@ -83,17 +81,17 @@ def test_a_new_run_is_compared_with_the_covariance_of_an_unchanged_one(drawn, kn
     )
     A = np.vstack(rows)
     y, X, Z = A[:, 0], A[:, 1:3], A[:, 3:]
-    V = np.diag(noise**2) + X @ known.covariance @ X.T + Z @ Z.T / run.precision
+    V = np.diag(noise**2) + X @ known.covariance @ X.T + Z @ Z.T / own_precision(run, LIMBS)
     columns = np.column_stack([y - X @ known.mean, A[:, 1:]])
     expected = columns.T @ np.linalg.solve(V, columns)
-    assert against_unchanged(run, known) == pytest.approx(expected, rel=1e-8)
+    assert against_unchanged(run, known, LIMBS) == pytest.approx(expected, rel=1e-8)
 
 
 def test_sizes_of_a_new_run_are_as_uncertain_as_said(known):
     rng = np.random.default_rng(1)
     z = []
     for _ in range(300):
-        S = against_unchanged(sums_of(rows_of(rng, (0.1, 0.1 / 3.0), (0.3, 0.05))), known)
+        S = against_unchanged(sums_of(rows_of(rng, (0.1, 0.1 / 3.0), (0.3, 0.05))), known, LIMBS)
         z.append(S[0, 1:3] / np.sqrt(np.diag(S)[1:3]))
     # 300 draws of unit variance have one within 0.82 to 1.18 with 95 %.
     assert np.mean(np.square(z), axis=0) == pytest.approx([1.0, 1.0], abs=0.25)
