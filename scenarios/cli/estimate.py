@@ -78,8 +78,10 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     """Folder for a report: error on unseen walks against the number of walks, up to --walks."""
 
     def run(self) -> None:
+        from msgspec import structs
+
         from surefoot.models.calibration.regions import walk_enough
-        from surefoot.models.observer.observer import Observer, TrainingLog
+        from surefoot.models.observer.observer import Observer
         from surefoot.models.observer.training import partial_path, torch_device, train
         from surefoot.scenarios.estimate.inputs import as_declared, not_plausible, read_logs
         from surefoot.scenarios.training.many_walks import many_walks, write_error_by_walks
@@ -106,7 +108,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             observer = train(as_declared(recorded), None, self, True, partial, (), start)
             earlier, given = observer.logs[: -len(recorded)], observer.logs[-len(recorded) :]
             pairs = zip(given, warnings, strict=True)
-            given = [TrainingLog(one.name, one.sha256, lines) for one, lines in pairs]
+            given = [structs.replace(one, warnings=lines) for one, lines in pairs]
             observer = replace(observer, logs=(*earlier, *given))
         observer.save(self.out, self.force)
         partial.unlink(missing_ok=True)
