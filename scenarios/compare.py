@@ -252,8 +252,7 @@ def write_comparison(
         sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
         if walk := comparison.recorded(ground):
             write_recording(out / f"{comparison.log.name}.rrd", walk)
-    made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
-    sections += [*extra, Section("Made by", made_by)]
+    sections += [*extra, made_by()]
     write_report(out / "report.html", title, sections)
     return found
 
@@ -322,30 +321,50 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
-    patches, fields = (ground.patches, ground.fields) if ground else ((), ())
+    pictures = position_pictures(comparison.log, errors, ground, kind, same)
+    few = {name: errors[name] for name in shown_at_first(tuple(errors))}
+    which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
+    words = f"Errors of position, attitude and velocity, with three sigma.{which}"
     files = f"figures/{comparison.log.name}"
-    pictures = [
+    pictures.append(Picture(errors_by_axis(few), words, f"{files}_errors.{kind}"))
+    return [*pictures, *velocity_pictures(comparison, f"{files}_velocity.{kind}")]
+
+
+def position_pictures(
+    log: Log,
+    errors: Mapping[str, ErrorSeries],
+    ground: Ground | None,
+    kind: str = "png",
+    same: str = "",
+) -> list[Picture]:
+    """Paths, heights and position errors of estimates of a log.
+
+    Args:
+        log: with a reference.
+        errors: of the estimates, by name.
+        ground: to draw, if it is known.
+        kind: of the files.
+        same: sentence on estimates that are left out as the same as another.
+    """
+    patches, fields = (ground.patches, ground.fields) if ground else ((), ())
+    files = f"figures/{log.name}"
+    return [
         Picture(
-            trajectories(comparison.log, errors, patches, fields),
+            trajectories(log, errors, patches, fields),
             f"The walk from above: reference and every estimate, aligned at the start.{same}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(
-            height_figure(comparison.log, errors),
-            f"Height over time: no sensor on board measures it, so every filter drifts.{same}",
+            height_figure(log, errors),
+            f"Height over time: without a sensor that measures it, it drifts.{same}",
             f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
-            f"Position error, and the three sigma each filter claims for itself.{same}",
+            f"Position error, and the three sigma that each claims for itself.{same}",
             f"{files}_position_error.{kind}",
         ),
     ]
-    few = {name: errors[name] for name in shown_at_first(tuple(errors))}
-    which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
-    words = f"Errors of position, attitude and velocity, with three sigma.{which}"
-    pictures.append(Picture(errors_by_axis(few), words, f"{files}_errors.{kind}"))
-    return [*pictures, *velocity_pictures(comparison, f"{files}_velocity.{kind}")]
 
 
 def velocity_pictures(comparison: Comparison, file: str = "") -> list[Picture]:
@@ -410,6 +429,11 @@ def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
             for at in values.index[[cell(value) == best for value in values]]:
                 marked.at[at, column] = f"**{best}**"
     return marked
+
+
+def made_by() -> Section:
+    """The version and, if surefoot was started as a command, the command."""
+    return Section("Made by", f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip())
 
 
 def command_line(arguments: Sequence[str]) -> str:

@@ -1,6 +1,5 @@
 """`surefoot score`: anyone's estimates of a log, their errors, consistency and coverage."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,9 +9,14 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-import surefoot
 from surefoot.estimator.metrics import Metrics, align_first, evaluate, matched, nees
-from surefoot.scenarios.compare import MEANINGS, command_line, error_summary, with_best_marked
+from surefoot.scenarios.compare import (
+    MEANINGS,
+    error_summary,
+    made_by,
+    position_pictures,
+    with_best_marked,
+)
 from surefoot.scenarios.estimate.error_series import ErrorSeries, error_series
 from surefoot.scenarios.estimate.other_estimates import (
     OtherEstimate,
@@ -21,12 +25,7 @@ from surefoot.scenarios.estimate.other_estimates import (
     read_estimate,
 )
 from surefoot.scenarios.estimate.run import robot_of
-from surefoot.scenarios.reporting.figures import (
-    errors_by_axis,
-    height_figure,
-    position_error,
-    trajectories,
-)
+from surefoot.scenarios.reporting.figures import errors_by_axis
 from surefoot.scenarios.reporting.html import Picture, Section, write_report
 from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.settings import ScoreSettings
@@ -143,31 +142,13 @@ def _row(one: Scored) -> dict[str, Any]:
 def _sections(log: Log, found: Sequence[Scored], table: pd.DataFrame, kind: str) -> list[Section]:
     summary = error_summary(log.name, {one.name: one.metrics for one in found})
     errors = {one.name: one.errors for one in found}
-    ground = ground_of_log(log)
-    patches, fields = (ground.patches, ground.fields) if ground else ((), ())
-    pictures = (
-        Picture(
-            trajectories(log, errors, patches, fields),
-            "The walk from above: reference and estimates, aligned at the start.",
-            f"figures/trajectories.{kind}",
-        ),
-        Picture(height_figure(log, errors), "Height over time.", f"figures/height.{kind}"),
-        Picture(
-            position_error(errors),
-            "Position error, and the three sigma that each estimate claims.",
-            f"figures/position_error.{kind}",
-        ),
-        Picture(
-            errors_by_axis(errors),
-            "Errors of position, attitude and velocity, with three sigma.",
-            f"figures/errors.{kind}",
-        ),
-    )
+    pictures = position_pictures(log, errors, ground_of_log(log), kind)
+    words = "Errors of position, attitude and velocity, with three sigma."
+    by_axis = Picture(errors_by_axis(errors), words, f"figures/{log.name}_errors.{kind}")
     glossary = [{"": name, "means": text} for name, text in _MEANINGS.items() if name in table]
     marked = with_best_marked(table.assign(log=log.name)).drop(columns="log")
-    made_by = f"surefoot {surefoot.__version__}. {command_line(sys.argv)}".strip()
     return [
-        Section("Errors, consistency and coverage", summary, marked, pictures),
+        Section("Errors, consistency and coverage", summary, marked, (*pictures, by_axis)),
         Section("How to read the table", "The best values are in bold.", glossary),
-        Section("Made by", made_by),
+        made_by(),
     ]

@@ -29,7 +29,7 @@ from surefoot.sim.importing.readers.table import RecordedTable, column_readings
 from surefoot.sim.importing.reference import interpolate_reference, unit_quaternions
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
-from surefoot.sim.log.derived import derivative
+from surefoot.sim.log.derived import REFERENCE_WINDOW, derivative
 from surefoot.sim.log.reference import Poses
 from surefoot.sim.robot import Robot
 
@@ -41,8 +41,6 @@ _PARTS = {"attitude": "q", "velocity": "v", "position": "p"}
 """Quantities in the order of the right-invariant error, and their names in columns."""
 _PAIRS = {f"{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz") if i <= j}
 """Entries of a symmetric matrix by the names of their columns."""
-WINDOW = 0.1
-"""Time over which a velocity is derived from positions [s], as that of a reference."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def read_estimate(path: Path) -> OtherEstimate:
     rows = np.arange(len(t)) + table.first
     q = unit_quaternions(path, _values(table, _ATTITUDE), table.row, rows)
     known = any(name in cells for name in _VELOCITY)
-    v_GI = _values(table, _VELOCITY) if known else derivative(t, p_GI, WINDOW, causal=False)
+    v_GI = _values(table, _VELOCITY) if known else derivative(t, p_GI, REFERENCE_WINDOW, False)
     zeros = np.zeros((len(t), 3))
     found = Trajectory(t, matrix_from_quaternion(q), v_GI, p_GI, zeros, zeros)
     blocks = {
