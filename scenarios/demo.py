@@ -78,7 +78,7 @@ def demo(out: Path, seed: int = 0, force: bool = False) -> pd.DataFrame:
 def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     """The table, the trace, and the effect it should have found; all files are in `out`."""
     robot = Robot.load(ROBOT)
-    drawn = _as_walked(seed)
+    drawn = _as_walked(robot, seed)
     # The second worker is started only if the first is still compiling when the walks are done.
     with processes(2) as pool:
         assert pool is not None
@@ -113,10 +113,10 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     return results, found, hidden
 
 
-def _as_walked(seed: int) -> DrawnWalk:
+def _as_walked(robot: Robot, seed: int) -> DrawnWalk:
     """The walk that is estimated: of robot number `seed`, which deviates from its model."""
     condition = next(one for one in load_conditions(SUITE) if one.walked)
-    return condition.walk(Scenario.load("demo/walk"), ROBOT, seed)
+    return condition.walk(Scenario.load("demo/walk"), robot, seed)
 
 
 def _undeclared(robot: Robot, seed: int, out: Path) -> Effect:

@@ -279,6 +279,10 @@ class LoopSettings(WalkSettings):
 
     out: Path
     """Folder for all outputs; an interrupted run is resumed from it."""
+    walks: int = 16
+    """Number of walks to train on in each step; half as many are for the bounds. Finished ones are
+    kept in the cache folder.
+    """
 
 
 @dataclass(frozen=True)

@@ -45,9 +45,8 @@ class AsWalked:
         source: of gait and sensors.
         gait: its options, dimensionless except for the noise of the estimate; by default those
             measured of a Go1.
-        everywhere: options that replace those of `gait` on every course.
-        on_slopes: options that replace those on courses with slopes or steps, where nothing was
-            measured.
+        on_slopes: options that replace those of `gait` on courses with slopes or steps, where
+            nothing was measured.
         on_sheets: the same on courses with slippery sheets.
         sensors: fields of `sim.sensors.streams.Sensors` that replace a scenario's.
         size: the measured effects.
@@ -56,14 +55,13 @@ class AsWalked:
     scale: BodyScale
     source: str
     gait: GaitOptions = MEASURED_GAIT
-    everywhere: dict[str, float] = field(default_factory=dict)
     on_slopes: dict[str, float] = field(default_factory=dict)
     on_sheets: dict[str, float] = field(default_factory=dict)
     sensors: dict[str, float] = field(default_factory=dict)
     size: tuple[Size, ...] = ()
 
     def __post_init__(self):
-        for name in ("sensors", "everywhere", "on_slopes", "on_sheets"):
+        for name in ("sensors", "on_slopes", "on_sheets"):
             with errors_in(name):
                 typed(getattr(self, name), Sensors if name == "sensors" else GaitOptions)
 
@@ -74,7 +72,7 @@ class AsWalked:
 
     def scenario(self, scenario: Scenario) -> Scenario:
         """The scenario with this gait and these sensors."""
-        ground, gait = scenario.ground, replace(self.gait, **self.everywhere)
+        ground, gait = scenario.ground, self.gait
         if any(patch.mu < SHEET for patch in ground.patches):
             gait = replace(gait, **self.on_sheets)
         if any(_climbs(strip) for strip in ground.strips):

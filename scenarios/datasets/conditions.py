@@ -15,7 +15,6 @@ from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario
 from surefoot.sim.sensors.streams import Sensors
-from surefoot.sim.walking.batch import known_robot
 
 
 @dataclass(frozen=True)
@@ -55,17 +54,16 @@ class Condition:
         walked = self.walked.effects_on(robot) if self.walked else ()
         return (*self.effects, *drawn, *walked)
 
-    def walk(self, scenario: Scenario, robot: str, seed: int) -> DrawnWalk:
+    def walk(self, scenario: Scenario, robot: Robot, seed: int) -> DrawnWalk:
         """The walk of robot number `seed` of its kind on a scenario, under this condition."""
         if self.walked:
             scenario = self.walked.scenario(scenario)
         parts = {"sensors": self.sensors, "gait": self.gait, "ranges": self.ranges}
         changed = {name: replace(getattr(scenario, name), **dict(x)) for name, x in parts.items()}
         scenario = replace(scenario, **changed)
-        known = known_robot(robot)
         # A seed for each sequence, so that noise and ground differ between walks of one robot.
         own = crc32(f"{scenario.name}/{seed}".encode())
-        return DrawnWalk(scenario, known, own, self.effects_of(seed, known), self.declared)
+        return DrawnWalk(scenario, robot, own, self.effects_of(seed, robot), self.declared)
 
 
 PLAIN = Condition("plain", "the scenarios as they are written")

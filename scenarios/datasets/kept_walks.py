@@ -55,21 +55,29 @@ Draw = Callable[[int, int], DrawnWalk]
 
 @dataclass(frozen=True)
 class KeptLogs:
-    """Logs on disk, which are read one at a time as they are used, and named by their number."""
+    """Logs on disk, which are read one at a time as they are used, and named by their number.
+
+    Attributes:
+        paths: by number.
+        name: of all logs, before their number.
+        seen_as: what is made of each log as it is read; by default nothing.
+    """
 
     paths: Mapping[int, Path]
     name: str
+    seen_as: Callable[[Log], Log] | None = None
 
     def __len__(self) -> int:
         return len(self.paths)
 
     def __iter__(self) -> Iterator[Log]:
         for number, path in self.paths.items():
-            yield replace(Log.read(path), name=f"{self.name}_{number}")
+            log = replace(Log.read(path), name=f"{self.name}_{number}")
+            yield self.seen_as(log) if self.seen_as else log
 
     def first(self, count: int) -> "KeptLogs":
         """The first `count` of them."""
-        return KeptLogs(dict(islice(self.paths.items(), count)), self.name)
+        return replace(self, paths=dict(islice(self.paths.items(), count)))
 
 
 def kept_walks(

@@ -191,7 +191,7 @@ class Cell:
     @property
     def walk(self) -> DrawnWalk:
         """The walk to simulate."""
-        return self.condition.walk(self.scenario, self.robot, self.seed)
+        return self.condition.walk(self.scenario, known_robot(self.robot), self.seed)
 
     @property
     def learnt_from(self) -> bool:

@@ -84,7 +84,9 @@ def make_drawn_walk(folder: Path, robot: str, seed: int, role: str, number: int)
         role: one of `scenarios.training.many_walks.ROLES`.
         number: of the walk in its role.
     """
-    made = standing_walk(folder, partial(drawn_walk, robot, (), seed, role), ATTEMPTS, number)
+    made = standing_walk(
+        folder, partial(drawn_walk, known_robot(robot), (), seed, role), ATTEMPTS, number
+    )
     return made and replace(made, facts=made.facts | {"robot": robot, "declared": []})
 
 

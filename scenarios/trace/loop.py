@@ -1,68 +1,59 @@
 """Close the loop: trace a measured log, simulate the effects found, train observers, estimate
 again.
 
-Up to three worlds are simulated. In `before` the robot is as declared. In `effects` it also has the
-effects that the trace found. In `after` it has them and walks in the measured gait. If the plain
-gait is more like the log, `after` has the effects only, and there is no `effects`.
+In the step `before` the simulated robot is as declared. In `after` it also has the effects that the
+trace found, in place of effects of the same kind that are drawn for any robot of its kind. In each
+step observers are trained and calibrated on drawn walks of that robot (`surefoot train --walks`),
+with sizes drawn from the intervals found. In `tuned` the observers of `after` are trained further
+on one end of the measured log, and their bounds are calibrated on its middle.
 
-In each world the robot walks in the style of the measured log (`sim.walking.imitation`), or in the
-nearest one with which it does not fall. Observers are trained and calibrated on these walks only,
-and every filter estimates the measured log with that world's model and observers. Where the robot
-falls with any style, and without PyTorch, there are no observers: filters that need none are run.
-Sizes that the trace found are drawn from their intervals for each walk
-(`scenarios.trace.training_walks`). At last, the observer of the last world is tuned on half of the
-measured log, and judged on the other half.
+Every filter estimates both ends of the measured log with the model and observers of each step. An
+observer tuned on one end is evaluated on the other. Without PyTorch, or if the robot cannot walk in
+simulation, there are no observers: filters that need none are run.
 """
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from surefoot.models.attribution.evidence import candidates_digest
+from surefoot.models.calibration.calibrate import calibrate
+from surefoot.models.calibration.regions import BoundsError
+from surefoot.models.calibration.settings import CalibrateSettings
 from surefoot.models.observer.observer import ObserverError
-from surefoot.models.observer.settings import torch_is_installed
+from surefoot.models.observer.samples import DQ_CAUSAL
+from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings, torch_is_installed
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
-from surefoot.scenarios.datasets.as_walked import load_as_walked
-from surefoot.scenarios.estimate.run import Learnt, declared_model
+from surefoot.scenarios.estimate.run import Learnt
 from surefoot.scenarios.reporting.pages import check_page
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.stages import percent_bar
-from surefoot.scenarios.trace.loop_report import LoopWorld, write_loop
-from surefoot.scenarios.trace.observer_errors import (
-    ErrorParts,
-    TunedErrors,
-    error_parts,
-    tuned_on_measured,
-)
-from surefoot.scenarios.trace.realism import GaitChoice, choose_gait
+from surefoot.scenarios.trace.loop_report import LoopStep, write_loop
+from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
-from surefoot.scenarios.trace.training_walks import (
-    DEFAULT_PLAN,
-    TrainingWalks,
-    WalkedStyle,
-    rates_as_of,
-    simulate_training,
-    style_that_walks,
-    with_style_share,
-)
-from surefoot.sim.common.errors import check_seed
+from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walks, held_out_walks
+from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
+from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.sources import sources_digest
 from surefoot.sim.effects import Effect, compensate_all, declared_effects, effect
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
-from surefoot.sim.log import Log
+from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot import Robot
-from surefoot.sim.walking.imitation import walking_style
 
 RECIPE = "recipe.json"
-WORLDS = ("before", "effects", "after")
+STEPS = ("before", "after", "tuned")
+ENDS = ("first", "last")
+END = 0.4
+"""Length of each end of the measured log, as a share of it; the rest is its middle."""
+BATCH = 12
+"""Windows in each step of a training on many walks."""
 HALF_WIDTH = 1.96
 """Half width of a normal distribution's 95 % interval, in standard deviations."""
 
@@ -83,7 +74,7 @@ def loop(
     Args:
         log: the measured log.
         robot: as declared.
-        settings: where to, and the seed of trace, walks and training.
+        settings: where to, number of walks, and the seed of trace, walks and training.
         declared: effects that belong to the model, beyond those that the log declares; the trace
             then looks for what has changed since (see `trace`).
         holdout: logs of the same machine, on which the effects found are evaluated and nothing is
@@ -91,84 +82,77 @@ def loop(
     """
     out, seed = settings.out, settings.seed
     check_seed(seed)
+    if settings.walks < 2:
+        raise SurefootError("walks must be at least 2")
     log.require("imu", "q", "reference")
     if settings.page:
         check_page(settings.page)
-    style = walking_style(*declared_model(log, robot))
     recipe = {
         "log": contents_digest(log),
         "robot": [robot.name, robot.digest],
         "code": [sources_digest(__name__), candidates_digest()],
         "seed": seed,
-        "gait": asdict(load_as_walked().gait),
         "declared": None if declared is None else [e.as_dict() for e in declared],
         "holdout": [contents_digest(one) for one in holdout],
-        "training": asdict(DEFAULT_PLAN),
+        "walks": settings.walks,
     }
     if settings.force or kept_json(out / RECIPE) != recipe:
         refuse_full(out, settings.force)
-        _write(out / RECIPE, recipe)
-        steps = "trace/trace.json", "gait.json", "style.json", "tuned.json"
-        stale = *steps, *(f"{world}/done" for world in WORLDS)
-        for name in stale:
-            (out / name).unlink(missing_ok=True)
+        write_whole(out / RECIPE, json.dumps(recipe, indent=2) + "\n", force=True)
+        for stale in ("trace/trace.json", *(f"{step}/done" for step in STEPS)):
+            (out / stale).unlink(missing_ok=True)
     model = (*declared_effects(log), *(declared or ()))
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
-    trains = torch_is_installed()
-
-    def gait_of_walks() -> dict[str, Any]:
-        with percent_bar("gait") as progress:
-            return asdict(choose_gait(log, robot, (*model, *found), seed, progress))
-
-    choice = GaitChoice(False, "Without observers to train, none is chosen.", [])
-    if trains:
-        choice = GaitChoice(**_kept(out / "gait.json", gait_of_walks))
-    planned: dict[str, tuple[tuple[Effect, ...], GaitOptions]] = {"before": (model, PLAIN_GAIT)}
-    if found and choice.walked:
-        planned["effects"] = (*model, *found), PLAIN_GAIT
-    if found or choice.walked:
-        planned["after"] = (*model, *found), choice.gait
-    drawn = {name: TrainingWalks(style, robot, *one, spread) for name, one in planned.items()}
-
-    def style_of_walks() -> dict[str, Any]:
-        with percent_bar("walking") as progress:
-            return asdict(style_that_walks(drawn, seed, progress=progress))
-
-    walked = WalkedStyle()
-    if trains:
-        walked = WalkedStyle(**_kept(out / "style.json", style_of_walks))
-    if walked.words:
-        print(walked.words)
-        choice = replace(choice, words=f"{choice.words} {walked.words}")
-    worlds = []
-    for name, (effects, _) in planned.items():
-        learnt, simulated, measured = Learnt(), None, None
-        if trains and name not in walked.fallen:
-            walks = with_style_share(drawn[name], walked.share)
-            learnt, simulated = _learnt(walks, log, out / name, seed)
-        comparison = compare_log(*_compensated(log, robot, effects), learnt)
-        if learnt.observers:
-            measured = error_parts(learnt.observers[0], comparison.log, comparison.robot)
-        worlds.append(LoopWorld(name, effects, learnt, comparison, simulated, measured))
-    last = worlds[-1].comparison
-    assert last.robot is not None
-    compensated, corrected = last.log, last.robot
-
-    def tune() -> dict[str, Any] | str:
-        learnt = worlds[-1].learnt
-        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(compensated), seed=seed)
+    planned = {"before": model} | ({"after": (*model, *found)} if found else {})
+    steps, reason = [], "" if torch_is_installed() else "PyTorch is not installed"
+    for name, effects in planned.items():
+        learnt = Learnt()
+        if not reason:
+            try:
+                own = OwnEffects(effects, spread)
+                learnt = _learnt(robot, own, log, out / name, settings)
+            except SurefootError as error:  # the robot does not walk in simulation
+                reason = str(error)
+        measured, corrected = _compensated(log, robot, effects)
+        steps.append(_step(name, effects, [learnt, learnt], measured, corrected))
+    measured, corrected = _compensated(log, robot, steps[-1].effects)
+    if not reason:
+        how = replace(TRAIN_DEFAULT, inputs=inputs_of(log), seed=seed, batch=BATCH)
         try:
-            found = learnt.observers[0], learnt.bounds[0]
-            return asdict(tuned_on_measured(*found, compensated, corrected, how))
-        except ObserverError as error:
-            return str(error)
+            tuned = _tuned(steps[-1].learnt[0], measured, corrected, out / "tuned", how)
+            steps.append(_step("tuned", steps[-1].effects, tuned, measured, corrected))
+        except (ObserverError, BoundsError) as error:  # the log is too short
+            reason = f"none is tuned on the measured walk: {error}"
+    return write_loop(log, robot, steps, settings, reason)
 
-    tuned: TunedErrors | str = "there is none"
-    if worlds[-1].learnt.observers:
-        kept = _kept(out / "tuned.json", tune)
-        tuned = kept if isinstance(kept, str) else TunedErrors(**kept)
-    return write_loop(log, robot, worlds, settings, choice, tuned)
+
+def ends(log: Log) -> list[Log]:
+    """Both ends of a log, the first one first, each END of its duration."""
+    share = (log.t - log.t[0]) / (log.t[-1] - log.t[0])
+    return [log.rows(np.flatnonzero(share <= END)), log.rows(np.flatnonzero(share >= 1.0 - END))]
+
+
+def _middle(log: Log) -> Log:
+    share = (log.t - log.t[0]) / (log.t[-1] - log.t[0])
+    return log.rows(np.flatnonzero((share > END) & (share < 1.0 - END)))
+
+
+def _step(
+    name: str, effects: Sequence[Effect], learnt: Sequence[Learnt], log: Log, robot: Robot
+) -> LoopStep:
+    """Every filter on both ends of the log.
+
+    Args:
+        name: one of STEPS.
+        effects: of the model.
+        learnt: observers and bounds for each of the two ends.
+        log: the measured log, and
+        robot: its model, both compensated.
+    """
+    pairs = zip(ends(log), learnt, strict=True)
+    compared = tuple(compare_log(end, robot, one) for end, one in pairs)
+    return LoopStep(name, tuple(effects), tuple(learnt), compared)
 
 
 def inputs_of(log: Log) -> str:
@@ -210,38 +194,108 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
     return rates_as_of(compensated, log), model
 
 
-def _learnt(walks: TrainingWalks, log: Log, out: Path, seed: int) -> tuple[Learnt, ErrorParts]:
-    """Observers and bounds from simulated walks; trained unless already done.
+def rates_as_of(log: Log, measured: Log) -> Log:
+    """Give a log joint rates of the same origin as the measured log's.
 
-    Also returns the parts of the observer's errors on the simulated walk of the calibration.
+    If that logs none, filters derive them from past angles, and so does this function.
+    """
+    return log if measured.has("dq") else _with_derived_rates(log)
+
+
+def _with_derived_rates(log: Log) -> Log:
+    kept = log.frame[[c for c in log.frame if not str(c).startswith("dq_")]]
+    rates = joint_velocity(replace(log, frame=kept), causal=True)
+    columns = {f"dq_{joint}": rates[:, i] for i, joint in enumerate(log.joints)}
+    meta = replace(log.meta, derived=(*log.meta.derived, DQ_CAUSAL))
+    return replace(log, frame=kept.assign(**columns), meta=meta)
+
+
+def seen_as_measured(
+    effects: Sequence[Effect], simulated: Robot, has_rates: bool, walked: Log
+) -> Log:
+    """A simulated log as filters see the measured one: with these effects compensated.
+
+    Its metadata names the resulting mounting of the IMU and radius of the feet, since an observer
+    stores the mounting that it was trained with.
 
     Args:
-        walks: to simulate.
+        effects: to compensate.
+        simulated: the robot, without them.
+        has_rates: whether the measured log has joint rates; otherwise they are derived.
+        walked: the simulated log.
+    """
+    log, model = compensate_all(effects, walked, simulated)
+    corrected = {
+        "p_BI": model.p_BI.tolist(),
+        "q_BI": quaternion_from_matrix(model.R_BI).tolist(),
+        "foot_radius": model.foot_radius.tolist(),
+    }
+    declared = tuple(one.as_dict() for one in effects)
+    log = replace(log, meta=replace(log.meta, effects=declared, model=log.meta.model | corrected))
+    return log if has_rates else _with_derived_rates(log)
+
+
+def _learnt(robot: Robot, own: OwnEffects, log: Log, out: Path, settings: LoopSettings) -> Learnt:
+    """Observers and bounds from drawn walks; trained unless already done.
+
+    Args:
+        robot: as declared.
+        own: its effects.
         log: the measured log, whose columns determine the observers' inputs.
-        out: folder of this world.
-        seed: of walks and training.
+        out: folder of this step.
+        settings: number of walks, and the seed of walks and training.
     """
     from surefoot.scenarios.estimate.learning import learn, learnt_in
 
     done = out / "done"
     if not (done.exists() and all(map(as_made, out.glob("*.*")))):
-        with percent_bar(f"walking: {out.name}") as progress:
-            training, calibration = simulate_training(walks, seed, progress=progress)
-        training = [rates_as_of(one, log) for one in training]
-        calibration = rates_as_of(calibration, log)
-        how = replace(DEFAULT_PLAN.training, inputs=inputs_of(log), seed=seed)
-        learnt = learn(training, calibration, out, how, force=True)
-        _write(out / "errors.json", error_parts(learnt.observers[0], calibration))
+        simulated, seed = simulated_robot(robot), settings.seed
+        own = replace(own, effects=beyond_simulated(own.effects, robot, simulated))
+        seen = partial(seen_as_measured, own.effects, simulated, log.has("dq"))
+        counts = {
+            "train": settings.walks,
+            "held_out": held_out_walks(settings.walks),
+            "calibrate": settings.walks // 2,
+        }
+        walks = {
+            role: replace(drawn_walks(simulated, count, role, seed, own=own), seen_as=seen)
+            for role, count in counts.items()
+        }
+        how = replace(TRAIN_DEFAULT, inputs=inputs_of(log), seed=seed, batch=BATCH)
+        held_out = tuple(walks["held_out"])
+        learn(walks["train"], walks["calibrate"], out, how, force=True, held_out=held_out)
         done.touch()
-    return learnt_in(out), json.loads((out / "errors.json").read_text(encoding="utf-8"))
+    return learnt_in(out)
 
 
-def _kept(path: Path, make: Callable[[], object]) -> Any:
-    """The content of a JSON file; made and written unless already done."""
-    if not as_made(path):
-        _write(path, make())
-    return json.loads(path.read_text(encoding="utf-8"))
+def _tuned(
+    learnt: Learnt, log: Log, robot: Robot, out: Path, settings: TrainSettings
+) -> list[Learnt]:
+    """Observers for each end, tuned on the other one, with bounds from the middle.
 
+    How the errors of a whole walk differ from another's does not show in a few seconds: the
+    persistent part of the bounds is that of the simulated walks. Raises ObserverError or
+    BoundsError where the log is too short.
 
-def _write(path: Path, value: object) -> None:
-    write_whole(path, json.dumps(value, indent=2) + "\n", force=True)
+    Args:
+        learnt: observers and bounds from simulated walks.
+        log: the measured log, and
+        robot: its model, both compensated.
+        out: folder of this step.
+        settings: of the training; network, inputs and loss are the observer's.
+    """
+    from surefoot.models.observer.training import train
+    from surefoot.scenarios.estimate.learning import learnt_in
+
+    done = out / "done"
+    if not (done.exists() and all(map(as_made, out.glob("*/*.*")))):
+        for end, other in zip(ENDS, reversed(ends(log)), strict=True):
+            for observer, bounds in zip(learnt.observers, learnt.bounds, strict=True):
+                tuned = train(other, robot, settings, start=observer)
+                level = CalibrateSettings(gamma=bounds.gamma, method=bounds.method, K=bounds.K)
+                new = calibrate(tuned, _middle(log), level, robot)
+                new = replace(new, persistent=bounds.persistent)
+                tuned.save(out / end / f"observer_{tuned.loss}.safetensors", force=True)
+                new.save(out / end / f"bounds_{tuned.loss}.json", force=True)
+        done.touch()
+    return [learnt_in(out / end) for end in ENDS]

@@ -23,12 +23,10 @@ from surefoot.scenarios.reporting.html import Section
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.settings import RealismSettings
 from surefoot.scenarios.trace.realism_figures import pictures
-from surefoot.scenarios.trace.training_walks import beyond_simulated, simulated_robot
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import refuse_overwrite, whole_folder, write_whole
-from surefoot.sim.effects import Effect
+from surefoot.sim.effects import Effect, effect
 from surefoot.sim.effects.carry import carried, growth, scale_of
-from surefoot.sim.gait.options import PLAIN_GAIT, GaitOptions
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot import Robot
@@ -314,59 +312,26 @@ def _json(found: Sequence[WalkComparison]) -> dict:
     }
 
 
-@dataclass(frozen=True)
-class GaitChoice:
-    """A choice between the two gaits.
+def simulated_robot(robot: Robot) -> Robot:
+    """The robot for simulation: body and feet of its file, IMU mounted as declared."""
+    return replace(Robot.load(robot.file), name=robot.name, p_BI=robot.p_BI, R_BI=robot.R_BI)
 
-    Attributes:
-        walked: whether the measured gait was chosen.
-        words: the reason.
-        rows: of the chosen gait's realism card; empty if the log is too short for one.
+
+def beyond_simulated(
+    effects: Sequence[Effect], robot: Robot, simulated: Robot
+) -> tuple[Effect, ...]:
+    """Effects found with the declared `robot`, less what `simulated` already has.
+
+    Only `foot_rolling` differs: a declared model may have point feet, so that the size found is the
+    whole radius, while the simulated feet have that of their file.
     """
-
-    walked: bool
-    words: str
-    rows: list[dict[str, Any]]
-
-    @property
-    def gait(self) -> GaitOptions:
-        return load_as_walked().gait if self.walked else PLAIN_GAIT
-
-
-def choose_gait(
-    log: Log,
-    robot: Robot,
-    effects: Sequence[Effect],
-    seed: int,
-    progress: Report = lambda share: None,
-) -> GaitChoice:
-    """Choose the gait by realism cards.
-
-    The score of a card is its number of `like` rows minus that of `unlike` ones; on a tie the plain
-    gait is chosen.
-
-    Args:
-        log: the measured log.
-        robot: as declared.
-        effects: of the simulated robot.
-        seed: of the walks.
-        progress: called with the share done, 0 to 1.
-    """
-    gaits = {"the plain gait": None, "the gait as walked": replace(load_as_walked(), size=())}
-    try:
-        robots = [SimulatedRobot(words, effects, gait) for words, gait in gaits.items()]
-        plain, walked = _compared(log, robot, robots, seed, progress)
-    except SurefootError as error:
-        return GaitChoice(False, f"The plain gait; no realism card: {error}.", [])
-    score = [one.card.counts["like"] - one.card.counts["unlike"] for one in (plain, walked)]
-    taken = walked if score[1] > score[0] else plain
-    counts = [
-        f"{one.words} has {one.card.counts['like']} quantities like the log's and "
-        f"{one.card.counts['unlike']} unlike"
-        for one in (plain, walked)
-    ]
-    words = f"Of the simulated walks, {counts[0]}; {counts[1]}. Taken: {taken.words}."
-    return GaitChoice(taken is walked, words, card_table(taken.card))
+    difference = float(np.mean(robot.foot_radius - simulated.foot_radius))
+    if abs(difference) < 1e-9:
+        return tuple(effects)
+    return tuple(
+        effect(e.name, e.target, e.value + difference) if e.name == "foot_rolling" else e
+        for e in effects
+    )
 
 
 def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, Any]]:

@@ -6,8 +6,8 @@ a sixth equal their model, a third are built within tolerances, and half of them
 the gait, sensors and effects measured on a real robot.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import takewhile
 from pathlib import Path
@@ -31,6 +31,7 @@ from surefoot.sim.common.files import cache_folder, check_space, whole_folder
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
+from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import known_robot
 from surefoot.sim.walking.trial import why_not
@@ -55,14 +56,35 @@ CAPTION = (
 )
 
 
+@dataclass(frozen=True)
+class OwnEffects:
+    """Effects of one machine, in place of those of the same kind that are drawn for any robot.
+
+    Attributes:
+        effects: with the sizes found.
+        spread: standard deviation of a size, in its unit, by name and target; others are exact.
+    """
+
+    effects: Sequence[Effect] = ()
+    spread: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    def drawn(self, rng: np.random.Generator) -> Iterator[Effect]:
+        """The effects with sizes from normal distributions about theirs, within their bounds."""
+        for one in self.effects:
+            if (one.name, one.target) in self.spread:
+                size = rng.normal(one.value, self.spread[one.name, one.target])
+                low, high = one.bounds_on(None, one.target)
+                one = replace(one, value=float(np.clip(size, low, high)))
+            yield one
+
+
 def many_walks(
     settings: WalksSettings, scenarios: Sequence[str] = (), role: str = "train"
 ) -> KeptLogs:
     """Simulate walks of a role: `settings.walks` to train on or to calibrate with, or as many as
-    are held out.
+    are held out (`drawn_walks`).
 
-    Walks in which the robot falls each time that they are drawn are left out, with a line. Raises
-    SurefootError where no robot is named, it cannot walk, or all walks are left out.
+    Raises SurefootError where no robot is named, it cannot walk, or all walks are left out.
 
     Args:
         settings: number and seed of the walks, and the robot, by default that of the scenarios.
@@ -79,16 +101,43 @@ def many_walks(
     robots = {settings.robot} if settings.robot else {course.robot for course in courses}
     if len(robots) != 1 or (robot := next(iter(robots))) is None:
         raise SurefootError("walks: give one robot, since an observer is of one")
-    if fault := why_not(known_robot(robot)):
-        raise SurefootError(f"robot {known_robot(robot).name} cannot walk in simulation: {fault}")
+    settled = known_robot(robot), count, role, settings.walk_seed
+    return drawn_walks(*settled, courses, workers=settings.workers)
+
+
+def drawn_walks(
+    robot: Robot,
+    count: int,
+    role: str,
+    seed: int,
+    courses: Sequence[Scenario] = (),
+    own: OwnEffects = OwnEffects(),
+    workers: int = 0,
+) -> KeptLogs:
+    """Simulate so many walks of a role, each as `drawn_walk`.
+
+    Walks in which the robot falls each time that they are drawn are left out, with a line. Raises
+    SurefootError where it cannot walk, or all walks are left out.
+
+    Args:
+        robot: of them.
+        count: of walks.
+        role: one of ROLES.
+        seed: of all walks.
+        courses: taken in turn; by default one is drawn for each walk.
+        own: effects of this machine.
+        workers: walks at once, by default one for each core.
+    """
+    if fault := why_not(robot):
+        raise SurefootError(f"robot {robot.name} cannot walk in simulation: {fault}")
     check_space(cache_folder(), BYTES_PER_SECOND * SECONDS * count)
-    draw = partial(drawn_walk, robot, courses, settings.walk_seed, role)
+    draw = partial(drawn_walk, robot, courses, seed, role, own=own)
     with percent_bar(f"walking: {role}") as progress:
-        made = kept_walks(draw, count, ATTEMPTS, role, progress, settings.workers)
+        made = kept_walks(draw, count, ATTEMPTS, role, progress, workers)
     if len(made) < count:
         print(f"{role}: {count - len(made)} of {count} walks left out, on which the robot falls")
     if not made:
-        raise SurefootError(f"walks: {robot} falls on every one")
+        raise SurefootError(f"walks: {robot.name} falls on every one")
     return made
 
 
@@ -99,27 +148,35 @@ def held_out_walks(walks: int) -> int:
 
 
 def drawn_walk(
-    robot: str, scenarios: Sequence[Scenario], seed: int, role: str, number: int, attempt: int
+    robot: Robot,
+    courses: Sequence[Scenario],
+    seed: int,
+    role: str,
+    number: int,
+    attempt: int,
+    own: OwnEffects = OwnEffects(),
 ) -> DrawnWalk:
     """One walk, always the same for the same arguments.
 
     Args:
-        robot: its name or file.
-        scenarios: of which each walk takes the next; by default a course is drawn.
+        robot: that walks.
+        courses: of which each walk takes the next; by default one is drawn.
         seed: of all walks.
         role: of the walk, one of ROLES.
         number: of the walk in its role.
         attempt: of drawing it.
+        own: effects of this machine.
     """
     rng = np.random.default_rng([seed, ROLES.index(role), number, attempt])
-    if scenarios:
-        scenario = scenarios[number % len(scenarios)]
+    if courses:
+        scenario = courses[number % len(courses)]
     else:
         scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
     condition = _conditions()[rng.choice(list(SHARES), p=list(SHARES.values()))]
     drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
-    effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects]
-    return replace(drawn, effects=effects)
+    known = {one.name for one in own.effects}
+    effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects if one.name not in known]
+    return replace(drawn, effects=[*effects, *own.drawn(rng)])
 
 
 def _resized(one: Effect, factor: float) -> Effect:

@@ -1,11 +1,8 @@
-"""Walks in the style of a measured one: its speeds and turns, gait and posture, on flat ground.
-
-An observer trained in simulation only should see motions like those that it will be used on: not
-the same walk, but the same style.
+"""The style of a measured walk (speeds and turns, gait and posture), and walks on flat ground in
+that style.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,14 +16,8 @@ from surefoot.sim.sensors.stances import stances_between_swings
 
 PIECE = 1.0
 """Length of the pieces over which the walk's velocities are averaged [s]."""
-STRETCH = 3
-"""Number of consecutive pieces that stay together in a random order."""
-SPREAD = 0.1
-"""Relative variation of speed, period and clearance about the measured ones."""
-POSTURE = (0.05, 0.15, 0.2)
-"""Largest shifts of hip, thigh and calf, the same for all legs, from the measured posture [rad]. An
-observer trained on a single posture mistakes another one for a speed.
-"""
+SHORTEST = 3
+"""Least number of pieces with a reference."""
 LONGEST_STRIDE = 2.0
 """Time between touchdowns beyond which a foot has paused [s]."""
 MOVING = 0.05
@@ -52,8 +43,8 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
     Raises SurefootError if the reference covers too little of the walk.
     """
     twists = body_twists(log)
-    if len(twists) < STRETCH:
-        raise SurefootError(f"{log.name}: the reference covers less than {STRETCH} s of walk")
+    if len(twists) < SHORTEST:
+        raise SurefootError(f"{log.name}: the reference covers less than {SHORTEST} s of walk")
     if not (log.has("contact") and log.has("q")):
         return WalkingStyle(twists, 1.0, 1.0, robot.q_home)
     gait = gait_for(robot, 0.0)
@@ -86,22 +77,6 @@ def style_of(style: WalkingStyle, robot: Robot, speed: float, turn: float) -> Wa
     return WalkingStyle(style.twists * (speed, speed, turn), 1.0, style.clearance, robot.q_home)
 
 
-def towards_plain(style: WalkingStyle, robot: Robot, share: float) -> WalkingStyle:
-    """The style with a share, 0 to 1, of its period, clearance and posture, and the rest of the
-    robot's own.
-    """
-
-    def mixed(measured: Any, plain: Any) -> Any:
-        return plain + share * (measured - plain)
-
-    return replace(
-        style,
-        period=mixed(style.period, 1.0),
-        clearance=mixed(style.clearance, 1.0),
-        q_stance=mixed(style.q_stance, robot.q_home),
-    )
-
-
 def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Robot]:
     """A walk in the style of a measured one, with its pieces in their own order and nothing varied.
 
@@ -116,41 +91,6 @@ def replica(style: WalkingStyle, robot: Robot, name: str) -> tuple[Scenario, Rob
     as_measured = Ranges(period=(period, period), clearance=(clearance, clearance))
     scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=as_measured)
     return scenario, replace(robot, q_home=style.q_stance)
-
-
-def imitation(
-    style: WalkingStyle, robot: Robot, name: str, duration: float, rng: np.random.Generator
-) -> tuple[Scenario, Robot]:
-    """A walk in the style of a measured one, with its pieces in a random order.
-
-    Returns the scenario, and the robot in a posture close to the measured one.
-
-    Args:
-        style: of the measured walk.
-        robot: that walks.
-        name: of the scenario.
-        duration: approximate [s].
-        rng: draws order and posture.
-    """
-    groups = [style.twists[i : i + STRETCH] for i in range(0, len(style.twists), STRETCH)]
-    needed = int(np.ceil(duration / PIECE))
-    pieces: list[np.ndarray] = []
-    while len(pieces) < needed:
-        pieces += [twist for i in rng.permutation(len(groups)) for twist in groups[i]]
-    segments = tuple(Segment(PIECE, *map(float, twist)) for twist in pieces[:needed])
-    near = (1.0 - SPREAD, 1.0 + SPREAD)
-    ranges = Ranges(
-        mu=(0.6, 1.2),
-        speed=near,
-        period=(near[0] * style.period, near[1] * style.period),
-        clearance=(near[0] * style.clearance, near[1] * style.clearance),
-        gain=(0.8, 1.2),
-    )
-    scenario = Scenario(name, segments, Ground(0.8), robot.name, ranges=ranges)
-    shift = rng.uniform(-1.0, 1.0, 3) * POSTURE
-    outward = np.ones((4, 3))
-    outward[1::2, 0] = -1.0  # hips turn about one axis, so right legs spread the other way
-    return scenario, replace(robot, q_home=style.q_stance + (shift * outward).ravel())
 
 
 def slower(scenario: Scenario, factor: float) -> Scenario:

@@ -25,7 +25,6 @@ foot_radius = 0.03
 period = 0.5
 [gait]
 duty = 0.7
-[everywhere]
 slip_care = 0.3
 [on_slopes]
 level = 0.9
@@ -50,8 +49,7 @@ def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_
     drawn = Cell(slipped, "v60_class", condition, 1).walk
     as_walked = condition.walked
     assert as_walked is not None
-    options = as_walked.everywhere | as_walked.on_sheets
-    assert drawn.scenario.gait == replace(as_walked.gait, **options)
+    assert drawn.scenario.gait == replace(as_walked.gait, **as_walked.on_sheets)
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground

@@ -15,11 +15,12 @@ from surefoot.scenarios.training.drawn_course import COMMANDS, drawn_course
 from surefoot.scenarios.training.many_walks import drawn_walk
 from surefoot.sim.gait.options import PLAIN_GAIT
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import Fallen, walk
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-DRAWN = partial(drawn_walk, "spot_class", ())
+DRAWN = partial(drawn_walk, Robot.load("spot_class"), ())
 
 
 def test_a_walk_is_the_same_when_drawn_again_and_another_in_each_role_and_attempt():
@@ -77,7 +78,9 @@ def test_a_course_lasts_as_long_as_asked():
 
 def test_own_scenarios_are_taken_in_turn():
     courses = [Scenario(name, (Segment(1.0, 0.4),), Ground(0.8), "spot_class") for name in "ab"]
-    walks = [drawn_walk("spot_class", courses, 0, "train", number, 0) for number in range(3)]
+    walks = [
+        drawn_walk(Robot.load("spot_class"), courses, 0, "train", number, 0) for number in range(3)
+    ]
     assert [one.scenario.name for one in walks] == ["a", "b", "a"]
 
 

@@ -238,7 +238,6 @@ def test_a_loop_depends_on_log_robot_and_code(boots, machine, tmp_path, monkeypa
         raise Found
 
     monkeypatch.setattr(loop, "_traced", stop)
-    monkeypatch.setattr(loop, "walking_style", lambda *_: None)
 
     def recipe_of(log):
         with pytest.raises(Found):
