@@ -32,8 +32,8 @@ WINDOW = 200
 """Length of a window in steps of 10 ms. Four strides are enough to learn what the state must keep,
 and take a fifth of the time of the paper's 1000.
 """
-SHORTEST = 1000
-"""Shortest walk to train on, in steps of 10 ms."""
+SHORTEST, SHORTEST_TO_TUNE = 1000, 500
+"""Shortest walk to train on, and to tune an observer on, in steps of 10 ms."""
 BEGINNINGS = 1 / 8
 """Share of windows that begin where their log does. There an observer starts from the zero state,
 mostly at rest; of random windows only one in thousands would contain it, and its first predictions
@@ -94,6 +94,7 @@ def prepare(
         start: observer whose scales are kept; its IMU may be at another place.
     """
     first, parts, about = None, [], []
+    least, what = (SHORTEST, "training") if start is None else (SHORTEST_TO_TUNE, "tuning")
     causal_dq, kinematics, legs = False, None, {}
     for log, held in chain(((log, False) for log in logs), ((log, True) for log in held_out)):
         declared = Robot.for_log(log) if robot is None else robot
@@ -115,10 +116,10 @@ def prepare(
         seen = observer_samples(log, inputs)
         causal_dq |= seen.causal_dq
         v_I, measured = body_velocity(log, seen.rows)
-        if len(measured) < SHORTEST or measured.sum() < SHORTEST // 2:
+        if len(measured) < least or measured.sum() < least // 2:
             raise ObserverError(
                 f"{log.name}: {len(measured) / RATE:.1f} s of walk, {measured.sum() / RATE:.1f} s "
-                f"of it with a reference; training takes {SHORTEST / RATE:g} s at least"
+                f"of it with a reference; {what} takes {least / RATE:g} s at least"
             )
         apart = np.full(len(measured), held) if held_out else validation_rows(len(measured))
         x = observer_inputs(inputs, kinematics, seen.x)

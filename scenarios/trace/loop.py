@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.models.attribution.evidence import candidates_digest
-from surefoot.models.calibration.calibrate import calibrate
-from surefoot.models.calibration.regions import BoundsError
-from surefoot.models.calibration.settings import CalibrateSettings
+from surefoot.models.calibration.calibrate import bounds_on, unseen_errors
+from surefoot.models.calibration.regions import BoundsError, calibrator, errors_needed
+from surefoot.models.calibration.settings import CALIBRATE_DEFAULT
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.samples import DQ_CAUSAL
 from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings, torch_is_installed
@@ -288,12 +288,15 @@ def _tuned(
     from surefoot.scenarios.estimate.learning import learnt_in
 
     done = out / "done"
+    needed = errors_needed(calibrator(CALIBRATE_DEFAULT.method, CALIBRATE_DEFAULT.gamma))
     if not (done.exists() and all(map(as_made, out.glob("*/*.*")))):
         for end, other in zip(ENDS, reversed(ends(log)), strict=True):
             for observer, bounds in zip(learnt.observers, learnt.bounds, strict=True):
                 tuned = train(other, robot, settings, start=observer)
-                level = CalibrateSettings(gamma=bounds.gamma, method=bounds.method, K=bounds.K)
-                new = calibrate(tuned, _middle(log), level, robot)
+                unseen = unseen_errors(tuned, [_middle(log)], robot)
+                # As far apart as independent errors are, or as the middle allows.
+                K = max(1, min(bounds.K, len(unseen.errors[0]) // needed))
+                new = bounds_on(tuned, unseen, replace(CALIBRATE_DEFAULT, K=K))
                 new = replace(new, persistent=bounds.persistent)
                 tuned.save(out / end / f"observer_{tuned.loss}.safetensors", force=True)
                 new.save(out / end / f"bounds_{tuned.loss}.json", force=True)
