@@ -200,18 +200,19 @@ def loop_findings(found: dict[str, Any], table: pd.DataFrame, steps: Sequence[st
         steps: their names, `before` first.
     """
     ranked = table[[not traits(name).floor for name in table["filter"]]].set_index("filter")
-    errors = {
-        name: {str(f): float(e) for f, e in ranked[f"APE_trans [m] {name}"].dropna().items()}
-        for name in steps
-    }
+    errors: dict[str, dict[str, float]] = {}
+    for step in steps:
+        known = ranked[f"APE_trans [m] {step}"].dropna()
+        errors[step] = dict(zip(known.index, known, strict=True))
     main = "Whether the loop helps is not known: there is one step only."
     if len(steps) > 1:
         main = " ".join(_gain(*one, errors) for one in pairwise(steps))
     best = [
-        f"`{min(e, key=e.__getitem__)}` {name} ({min(e.values()):.3f} m)"
-        for name, e in errors.items()
+        f"`{min(e, key=e.__getitem__)}` {step} ({min(e.values()):.3f} m)"
+        for step, e in errors.items()
+        if e
     ]
-    rest = [f"The lowest errors are those of {', '.join(best)}."]
+    rest = [f"The lowest errors are those of {', '.join(best)}."] if best else []
     form = "{name} of {target}, {value:.4g} {unit}"
     zeros = [one for run in found["runs"] for one in run if one["compensated"]]
     added = [form.format(**effect) for effect in (*found["effects"], *zeros)]
