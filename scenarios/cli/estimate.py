@@ -310,9 +310,9 @@ class Compare(CompareSettings, options.TableOption):
             options.print_json({"results": results.to_dict(orient="records"), **each})
             return
         print("\n" + in_terminal(results, self.wide))
+        for line in left_out_lines(found):
+            print(line)
         for comparison in found:
-            for line in left_out_lines(comparison.log.name, comparison.left_out):
-                print(line)
             for words in (*comparison.notes, *comparison.doubts):
                 print(f"{comparison.log.name}: {words}")
         if any(comparison.doubts for comparison in found):
