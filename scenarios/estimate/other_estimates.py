@@ -70,14 +70,14 @@ def read_estimate(path: Path) -> OtherEstimate:
     table = read_file(path, Source(**layout))
     cells = table.cells
     named = layout.get("header", True)
-    if not named and len(cells) != len(_TUM):
+    in_order = not named or "".join(name[-1:] for name in cells).lower().endswith("xyzxyzw")
+    if in_order and len(cells) == len(_TUM):
+        cells = dict(zip(_TUM, cells.values(), strict=True))
+    elif not named:
         raise SurefootError(
             f"{path}: {len(cells)} columns without names; TUM text has {len(_TUM)}: "
             "t x y z qx qy qz qw"
         )
-    letters = "".join(name[-1:] for name in cells).lower()
-    if not named or (len(cells) == len(_TUM) and letters.endswith("xyzxyzw")):
-        cells = dict(zip(_TUM, cells.values(), strict=True))
     table = replace(table, cells=cells)
     t = _values(table, ("t",))[:, 0]
     backwards = np.flatnonzero(np.diff(t) <= 0.0)
