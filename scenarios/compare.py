@@ -401,13 +401,11 @@ def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
         for name, why in one.left_out.items():
             reason = why.removeprefix(f"{one.log.name}: ")
             logs.setdefault((name, reason), []).append(one.log.name)
-    together: dict[tuple[str, str], list[str]] = {}
+    lines: dict[tuple[str, str], list[str]] = {}
     for (name, reason), names in logs.items():
         where = "every log" if 1 < len(names) == len(comparisons) else ", ".join(names)
-        together.setdefault((where, reason), []).append(name)
-    return [
-        f"left out on {on}: {', '.join(names)} ({why})" for (on, why), names in together.items()
-    ]
+        lines.setdefault((where, reason), []).append(name)
+    return [f"left out on {on}: {', '.join(names)} ({why})" for (on, why), names in lines.items()]
 
 
 def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:

@@ -146,7 +146,7 @@ class Calibrate(
         arg(metavar="LOG|SCENARIO...", help_behavior_hint=options.OPTIONAL),
     ] = ()
     """Logs with a reference that the observer was not trained on; errors of several are pooled.
-    With --walks scenarios, as in `train`.
+    With --walks, scenarios as in `train`.
     """
     walks: int = 0
     """Number of walks to simulate and calibrate on, instead of logs, drawn like those of `train

@@ -94,7 +94,7 @@ class Learnt:
     def gaussian(self) -> Observer:
         """The observer that predicts a covariance. Raises SurefootError naming the option."""
         found = [one for one in self.observers if one.loss == "gml"]
-        _require_one(found, "gml")
+        self._require_one(found, "trained with loss gml")
         return found[0]
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
@@ -108,15 +108,15 @@ class Learnt:
                 "needs bounds of its observer: those given belong to another; calibrate this one"
             )
         pairs = [pair for pair in pairs if pair[0].loss == "mse"] or pairs
-        _require_one(pairs, loss or pairs[0][0].loss)
+        loss = loss or pairs[0][0].loss
+        self._require_one(pairs, f"trained with loss {loss}, with one file of bounds")
         return pairs[0]
 
-
-def _require_one(found: Sequence[object], loss: str) -> None:
-    """Raise SurefootError unless there is one observer of this loss, alone or with its bounds."""
-    if len(found) != 1:
-        given = len(found) or "none"
-        raise SurefootError(f"needs observer: one trained with loss {loss}; given: {given}")
+    def _require_one(self, found: Sequence[object], what: str) -> None:
+        """Raise SurefootError unless one of the observers is what is needed."""
+        if len(found) != 1:
+            given = ", ".join(one.loss for one in self.observers) or "none"
+            raise SurefootError(f"needs observer: one {what}; given: {given}")
 
 
 @dataclass(frozen=True)

@@ -46,10 +46,10 @@ def test_bounds_that_do_not_hold_are_said_to():
 @pytest.mark.parametrize(
     ("losses", "calibrated", "loss", "words"),
     [
-        (["mse"], [0], "gml", "one trained with loss gml; given: none"),
+        (["mse"], [0], "gml", "one trained with loss gml, with one file of bounds; given: mse"),
         (["mse", "gml"], [0], "gml", "those given belong to another"),
-        (["mse", "mse"], [0, 1], None, "one trained with loss mse; given: 2"),
-        (["mse"], [0, 0], "mse", "one trained with loss mse; given: 2"),
+        (["mse", "mse"], [0, 1], None, "one trained with loss mse, .*; given: mse, mse"),
+        (["mse"], [0, 0], "mse", "with one file of bounds; given: mse"),
     ],
 )
 def test_what_a_filter_lacks_of_observers_and_bounds_is_said(losses, calibrated, loss, words):
