@@ -78,7 +78,7 @@ def many_walks(
     courses = [Scenario.load(one) for one in scenarios]
     robots = {settings.robot} if settings.robot else {course.robot for course in courses}
     if len(robots) != 1 or (robot := next(iter(robots))) is None:
-        raise SurefootError("walks: name one robot (--robot), since an observer is of one")
+        raise SurefootError("walks: give one robot, since an observer is of one")
     if fault := why_not(known_robot(robot)):
         raise SurefootError(f"robot {known_robot(robot).name} cannot walk in simulation: {fault}")
     check_space(cache_folder(), BYTES_PER_SECOND * SECONDS * count)
