@@ -156,7 +156,7 @@ def compare_log(
 
 def _not_held(found: EmpiricalCoverage, gamma: float) -> str:
     """A line where the interval of an empirical coverage excludes the level gamma of its bounds."""
-    low, high = 100 * found.joint_interval
+    low, high = np.round(100 * found.joint_interval)  # as it is shown
     if low <= 100 * gamma <= high:
         return ""
     share = f"{100 * found.joint:.0f} ({low:.0f}–{high:.0f}) % of the errors are inside"
@@ -197,8 +197,7 @@ def compare_files(settings: CompareSettings) -> tuple[pd.DataFrame, list[Compari
         )
         found.append(replace(one, warnings=doubts))
     if not any(one.results for one in found):
-        reasons = [line for one in found for line in left_out_lines(one.log.name, one.left_out)]
-        raise SurefootError(f"no filter ran: {'; '.join(reasons)}")
+        raise SurefootError(f"no filter ran: {'; '.join(left_out_lines(found))}")
     with whole_folder(settings.out, settings.force) as folder:
         return write_comparison(found, folder, "Filters compared", kind=settings.figures), found
 
@@ -268,11 +267,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
         f"Not plausible in {c.log.name}: {words}." for c in comparisons for words in c.warnings
     ]
     first += [f"On {c.log.name}: {words}." for c in comparisons for words in c.notes]
-    left_out = [
-        f"{line[0].upper()}{line[1:]}."
-        for c in comparisons
-        for line in left_out_lines(c.log.name, c.left_out)
-    ]
+    left_out = [f"{line[0].upper()}{line[1:]}." for line in left_out_lines(comparisons)]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
@@ -399,12 +394,18 @@ def error_summary(log: str, metrics: Mapping[str, Metrics]) -> str:
     return f"{text}."
 
 
-def left_out_lines(log: str, reasons: Mapping[str, str]) -> list[str]:
-    """Lines on the filters that did not run on a log, grouped by reason."""
-    together: dict[str, list[str]] = {}
-    for name, why in reasons.items():
-        together.setdefault(why.removeprefix(f"{log}: "), []).append(name)
-    return [f"left out on {log}: {', '.join(names)} ({why})" for why, names in together.items()]
+def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
+    """Lines on the filters that did not run, grouped by reason and logs."""
+    logs: dict[tuple[str, str], list[str]] = {}
+    for one in comparisons:
+        for name, why in one.left_out.items():
+            reason = why.removeprefix(f"{one.log.name}: ")
+            logs.setdefault((name, reason), []).append(one.log.name)
+    lines: dict[tuple[str, str], list[str]] = {}
+    for (name, reason), names in logs.items():
+        where = "every log" if 1 < len(names) == len(comparisons) else ", ".join(names)
+        lines.setdefault((where, reason), []).append(name)
+    return [f"left out on {on}: {', '.join(names)} ({why})" for (on, why), names in lines.items()]
 
 
 def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:

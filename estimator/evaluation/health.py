@@ -350,7 +350,7 @@ def _biases(run: RunSummary, deviations: np.ndarray) -> Iterator[Doubt]:
         window, axis = np.unravel_index(np.argmax(mine), mine.shape)
         moved = run.bias[window, at + axis] - run.first[at + axis]
         reason = (
-            f"the bias of the {name} about {'xyz'[axis]} moved by {moved:.2g} {unit}, "
+            f"the bias of the {name}'s {'xyz'[axis]} axis moved by {moved:.2g} {unit}, "
             f"{mine.max():.1f} of its standard deviations"
         )
         yield from _first(run, (mine > limit).any(axis=1), reason)

@@ -22,12 +22,6 @@ if TYPE_CHECKING:
 SCENARIOS = f"Scenario files (TOML), or names of bundled ones: {', '.join(bundled_scenarios())}."
 
 
-def _for_observers(_default: str) -> str:
-    from surefoot.models.calibration.regions import walk_enough
-
-    return f"Walks of {walk_enough():g} s or more suffice to train observers and calibrate bounds."
-
-
 @options.command
 class Simulate(settings.SimulateSettings):
     """Simulate walks, one log for each scenario and seed, with an index; an interrupted run is
@@ -36,7 +30,7 @@ class Simulate(settings.SimulateSettings):
 
     scenarios: Annotated[
         Positional[tuple[str, ...]],
-        arg(help=SCENARIOS, metavar="SCENARIO...", help_behavior_hint=_for_observers),
+        arg(help=SCENARIOS, metavar="SCENARIO...", help_behavior_hint=options.NEEDED),
     ]
 
     def run(self) -> None:

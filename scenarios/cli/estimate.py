@@ -120,12 +120,14 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
             options.print_json({"observer": self.out, "hash": observer.hash, "rmse": observer.rmse})
             return
         on = f" on {len(held_out)} walks held out" if held_out else ""
+        drawn_as = [*self.sources] if self.walks else []
+        drawn_as += ["--robot", self.robot] if self.robot else []
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             f"(forward, lateral, vertical){on}\n"
             f"next: surefoot calibrate {self.out} LOG... -o BOUNDS.json; LOG are walks that the "
             f"observer has not seen, of which {walk_enough():g} s with a reference suffice; or "
-            "--walks 16"
+            f"{' '.join([*drawn_as, '--walks 16'])}"
         )
         if self.report:
             print(f"report: {self.report / 'report.html'}")
@@ -139,10 +141,13 @@ class Calibrate(
 
     observer: Path
     """Observer, a file from `train`."""
-    logs: Annotated[
-        Positional[tuple[Path, ...]], arg(metavar="LOG...", help_behavior_hint=options.OPTIONAL)
+    sources: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="LOG|SCENARIO...", help_behavior_hint=options.OPTIONAL),
     ] = ()
-    """Logs with a reference that the observer was not trained on; errors of several are pooled."""
+    """Logs with a reference that the observer was not trained on; errors of several are pooled.
+    With --walks, scenarios as in `train`.
+    """
     walks: int = 0
     """Number of walks to simulate and calibrate on, instead of logs, drawn like those of `train
     --walks`.
@@ -177,16 +182,17 @@ class Calibrate(
         for name in ("on", "page"):
             if getattr(self, name) and not self.report:
                 raise SurefootError(f"--{name}: needs --report DIR")
-        if bool(self.walks) == bool(self.logs):
+        if not (self.walks or self.sources):
             raise SurefootError("give logs, or --walks")
         calibrator(self.method, self.gamma, self.confidence)  # before the work, for a bad level
-        recorded, others = (read_logs(paths, self.robot) for paths in (self.logs, self.on))
+        paths = () if self.walks else tuple(map(Path, self.sources))
+        recorded, others = (read_logs(each, self.robot) for each in (paths, self.on))
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
         if self.walks:
             drawn = replace(self, robot=self.robot or observer.robot)
-            recorded = list(many_walks(drawn, role="calibrate"))
+            recorded = list(many_walks(drawn, self.sources, "calibrate"))
         warnings = [] if self.walks else not_plausible(recorded, strict=self.strict)
         logs = as_declared(recorded)
         unseen = unseen_errors(observer, logs)
@@ -215,7 +221,7 @@ class Calibrate(
         if bounds.mixing is not None and not bounds.mixing.mixed:
             print(
                 "note: the errors stay correlated over the longest lag examined; the bounds rest "
-                "on fewer independent samples than they count"
+                "on fewer independent samples than they count; more walks mend that"
             )
         if self.report:
             print(f"report: {self.report / 'report.html'}")
@@ -310,9 +316,9 @@ class Compare(CompareSettings, options.TableOption):
             options.print_json({"results": results.to_dict(orient="records"), **each})
             return
         print("\n" + in_terminal(results, self.wide))
+        for line in left_out_lines(found):
+            print(line)
         for comparison in found:
-            for line in left_out_lines(comparison.log.name, comparison.left_out):
-                print(line)
             for words in (*comparison.notes, *comparison.doubts):
                 print(f"{comparison.log.name}: {words}")
         if any(comparison.doubts for comparison in found):

@@ -29,7 +29,7 @@ FOLDER_OPTIONS = ("data", "cache")
 """Options that must not name a file."""
 BOUNDED = {"workers": "workers", "walks": "walks", "budget": "items"}
 """Options that are counts -> name of their limit."""
-GOES_ON = {"simulate", "train", "experiment", "suite", "loop", "tune"}
+GOES_ON = {"simulate", "train", "calibrate", "experiment", "suite", "loop", "tune"}
 """Commands that continue after an interruption when run again."""
 SPACE = 4_000_000
 """Free space that a command needs to start [bytes], for reports and figures."""

@@ -138,7 +138,7 @@ def advice(
     if contact is not None and (best is None or best.remedy.filter != name):
         rules = [_imported(plain, of, tried) for of in rules_of(plain.log, robot)]
         mending += [one for one in rules if one and _mends(before, one)]
-    left = "; not all changes were tried, as this filter is slow" * (perf_counter() > until)
+    left = "; not all changes were tried, as each run takes long" * (perf_counter() > until)
     if not mending:
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "
@@ -171,6 +171,13 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial 
     """
     plain = before.remedy
     log, settings = plain.log, plain.settings
+    usual = replace(settings, start=StartSettings(), state=StateSettings())
+    if usual != settings:
+        words = "leave out what the settings say of start and state"
+        yield tried(replace(plain, words=words, settings=usual))
+    if other := traits(plain.filter).rejecting:
+        words = f"use {other}, which rejects feet whose contacts are wrong"
+        yield tried(replace(plain, words=words, filter=other))
     if contact is not None:
         sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
         noises = (_with_noise(plain, size) for size in sizes)
@@ -178,15 +185,6 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial 
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
         for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
             yield _imported(plain, moved(log, kinds, sign), tried)
-    others = []
-    usual = replace(settings, start=StartSettings(), state=StateSettings())
-    if usual != settings:
-        words = "leave out what the settings say of start and state"
-        others.append(replace(plain, words=words, settings=usual))
-    if other := traits(plain.filter).rejecting:
-        words = f"use {other}, which rejects feet whose contacts are wrong"
-        others.append(replace(plain, words=words, filter=other))
-    yield from map(tried, others)
 
 
 def _imported(plain: Remedy, variants: Iterable[LogVariant], tried: Try) -> Trial | None:

@@ -93,13 +93,9 @@ class Learnt:
 
     def gaussian(self) -> Observer:
         """The observer that predicts a covariance. Raises SurefootError naming the option."""
-        losses = [observer.loss for observer in self.observers]
-        if losses.count("gml") != 1:
-            raise SurefootError(
-                "needs observer: one trained with loss gml, which predicts a covariance; given: "
-                + (", ".join(losses) or "none")
-            )
-        return self.observers[losses.index("gml")]
+        found = [one for one in self.observers if one.loss == "gml"]
+        self._require_one(found, "trained with loss gml")
+        return found[0]
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
         """The observer and its bounds; of two, the `mse` one unless `loss` selects another."""
@@ -107,12 +103,20 @@ class Learnt:
             raise SurefootError("needs observer and bounds")
         wanted = [one for one in self.observers if loss in (None, one.loss)]
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
-        if not pairs:
+        if wanted and not pairs:
             raise SurefootError(
-                f"needs bounds of its observer{f' (loss {loss})' if loss else ''}: those given "
-                "belong to another observer; calibrate this one"
+                "needs bounds of its observer: those given belong to another; calibrate this one"
             )
-        return min(pairs, key=lambda pair: pair[0].loss != "mse")
+        pairs = [pair for pair in pairs if pair[0].loss == "mse"] or pairs
+        loss = loss or pairs[0][0].loss
+        self._require_one(pairs, f"trained with loss {loss}, with one file of bounds")
+        return pairs[0]
+
+    def _require_one(self, found: Sequence[object], what: str) -> None:
+        """Raise SurefootError unless one of the observers is what is needed."""
+        if len(found) != 1:
+            given = ", ".join(one.loss for one in self.observers) or "none"
+            raise SurefootError(f"needs observer: one {what}; given: {given}")
 
 
 @dataclass(frozen=True)

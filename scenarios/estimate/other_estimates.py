@@ -10,7 +10,8 @@
 | `cov_v_...` | the same of the velocity | m^2/s^2 |
 | `cov_q_...` | the same of the attitude, as a rotation vector in the world | rad^2 |
 
-TUM text has no header, and the columns t, p_x, p_y, p_z, q_x, q_y, q_z and q_w.
+TUM text has the columns t, p_x, p_y, p_z, q_x, q_y, q_z and q_w, without names or with others that
+end in these letters, as the header `# timestamp tx ty tz qx qy qz qw` of the TUM data sets does.
 """
 
 from collections.abc import Mapping, Sequence
@@ -68,13 +69,15 @@ def read_estimate(path: Path) -> OtherEstimate:
     layout = detected_layout(path)
     table = read_file(path, Source(**layout))
     cells = table.cells
-    if not layout.get("header", True):
-        if len(cells) != len(_TUM):
-            raise SurefootError(
-                f"{path}: {len(cells)} columns without names; TUM text has {len(_TUM)}: "
-                "t x y z qx qy qz qw"
-            )
+    named = layout.get("header", True)
+    in_order = not named or "".join(name[-1:] for name in cells).lower().endswith("xyzxyzw")
+    if in_order and len(cells) == len(_TUM):
         cells = dict(zip(_TUM, cells.values(), strict=True))
+    elif not named:
+        raise SurefootError(
+            f"{path}: {len(cells)} columns without names; TUM text has {len(_TUM)}: "
+            "t x y z qx qy qz qw"
+        )
     table = replace(table, cells=cells)
     t = _values(table, ("t",))[:, 0]
     backwards = np.flatnonzero(np.diff(t) <= 0.0)

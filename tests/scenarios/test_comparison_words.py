@@ -1,6 +1,7 @@
 """What a comparison says: best filters, claims, and traits of a user's own estimators."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ from matplotlib.figure import Figure
 from surefoot.estimator.metrics import Metrics
 from surefoot.models.calibration.empirical_coverage import EmpiricalCoverage
 from surefoot.scenarios import compare
+from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.estimators import ESTIMATORS
 from surefoot.scenarios.estimate.run import Result
 from surefoot.scenarios.experiments.file import Condition, Experiment
 from surefoot.scenarios.experiments.findings import suite_findings, suite_overview
+from surefoot.sim.common.errors import SurefootError
 
 
 @pytest.fixture
@@ -36,7 +39,24 @@ def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
 def test_bounds_that_do_not_hold_are_said_to():
     found = EmpiricalCoverage(np.full(3, 0.6), 0.28, np.array([0.09, 0.56]), 12)
     assert "28 (9–56) %" in compare._not_held(found, 0.8)
-    assert compare._not_held(replace(found, joint_interval=np.array([0.09, 0.81])), 0.8) == ""
+    for low, high in ((0.09, 0.81), (0.804, 0.9)):  # the second is shown as 80–90
+        assert compare._not_held(replace(found, joint_interval=np.array([low, high])), 0.8) == ""
+
+
+@pytest.mark.parametrize(
+    ("losses", "calibrated", "loss", "words"),
+    [
+        (["mse"], [0], "gml", "one trained with loss gml, with one file of bounds; given: mse"),
+        (["mse", "gml"], [0], "gml", "those given belong to another"),
+        (["mse", "mse"], [0, 1], None, "one trained with loss mse, .*; given: mse, mse"),
+        (["mse"], [0, 0], "mse", "with one file of bounds; given: mse"),
+    ],
+)
+def test_what_a_filter_lacks_of_observers_and_bounds_is_said(losses, calibrated, loss, words):
+    observers: Any = [SimpleNamespace(loss=one, hash=str(k)) for k, one in enumerate(losses)]
+    bounds: Any = [SimpleNamespace(observer=str(k)) for k in calibrated]
+    with pytest.raises(SurefootError, match=words):
+        Learnt(tuple(observers), tuple(bounds)).bounded(loss)
 
 
 def test_a_consistent_filter_stays_within_the_interval_on_19_of_20_walks():

@@ -64,4 +64,4 @@ def test_a_recording_that_was_altered_is_not_shown(tmp_path, monkeypatch):
 def test_a_viewer_that_fails_is_an_error(tmp_path, monkeypatch):
     path = written(tmp_path / "walk.rrd", b"RRF2....")
     monkeypatch.setattr(subprocess, "run", lambda c, check: subprocess.CompletedProcess(c, 3))
-    refused(r"exit code 3; without a screen, try web", view, path)
+    refused(r"exit code 3; without a screen, try --web", view, path)

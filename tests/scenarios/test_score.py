@@ -76,8 +76,11 @@ def test_a_table_is_judged_as_the_same_trajectory(parts, log, drifting, tmp_path
             assert np.isnan(nees)
 
 
-def test_tum_text_has_the_same_poses(log, drifting, tmp_path):
+@pytest.mark.parametrize("header", ["", "# timestamp tx ty tz qx qy qz qw\n"])
+def test_tum_text_has_the_same_poses(log, drifting, tmp_path, header):
     drifting.write_tum(tmp_path / "mine.tum")
+    text = (tmp_path / "mine.tum").read_text()
+    (tmp_path / "mine.tum").write_text(header + text)
     found = scored(read_estimate(tmp_path / "mine.tum"), log, "mine").metrics
     assert found.rpe_trans == pytest.approx(evaluate(reference(log), drifting).rpe_trans, rel=1e-6)
 
