@@ -41,6 +41,7 @@ class LegCompliance(Effect):
     bounds = (0.0, 0.02)
     targets = "joint"
     groups = True
+    by_torque = True
     traced = _spring(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
         step=2e-5,
