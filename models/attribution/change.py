@@ -85,6 +85,7 @@ class Hypothesis:
         part: what it is of: the targets of an effect, or the joint whose sensor is in error.
         sizes: (k,).
         deviations: standard deviations of the sizes (k,), as the runs tell them.
+        excess: the sizes in standard deviations, all of them together (Mahalanobis).
         evidence: twice the logarithm of its odds against the unchanged machine.
         gain: reduction of the runs' squared error by it.
         overlap: cosine between its first regressor and that of the explanation it is a rival of.
@@ -94,14 +95,10 @@ class Hypothesis:
     part: frozenset[str]
     sizes: np.ndarray
     deviations: np.ndarray
+    excess: float
     evidence: float
     gain: float
     overlap: float = 1.0
-
-    @property
-    def excess(self) -> float:
-        """The largest of its sizes in standard deviations."""
-        return float(np.max(np.abs(self.sizes) / self.deviations))
 
     @property
     def of_sensor(self) -> bool:
@@ -338,11 +335,13 @@ def _prior(key: Key, limbs: Limbs) -> float:
 
 
 def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
-    """An explanation with its sizes, to first order; None where the runs do not show it."""
+    """An explanation by those of its sizes that the runs show, to first order; None for none."""
+    # Motion in a plane does not show where a link's centre of mass is across it.
+    keys = tuple(k for k in keys if (at := 1 + new.keys.index(k)) and new.metric.S[at, at] > NOTHING)
+    if not keys:
+        return None
     place = [1 + new.keys.index(key) for key in keys]
     A, b = new.metric.S[np.ix_(place, place)], new.metric.S[place, 0]
-    if np.diag(A).min() < NOTHING:
-        return None
     covariance = np.linalg.pinv(A, hermitian=True)
     alone = covariance @ b
     prior = np.array([_prior(key, new.limbs) for key in keys])
@@ -352,8 +351,9 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hy
     inner, pull = np.eye(len(keys)) + prior[:, None] * A * prior, prior * b
     sizes = np.linalg.solve(inner, pull)
     evidence = float(pull @ sizes - np.linalg.slogdet(inner)[1])
-    deviations = np.sqrt(np.diag(covariance))
-    return Hypothesis(keys, part, prior * sizes, deviations, evidence, float(alone @ b))
+    sizes *= prior
+    deviations, excess = np.sqrt(np.diag(covariance)), float(np.sqrt(sizes @ A @ sizes))
+    return Hypothesis(keys, part, sizes, deviations, excess, evidence, float(alone @ b))
 
 
 def _is_sampling_lag(one: Hypothesis, machine: Machine, rate: float) -> bool:
@@ -388,9 +388,13 @@ def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
         gain = float(new.metric.S[0, 0] - S[0, 0])
         evidence = gain - (size / prior) ** 2 - np.log1p(prior**2 / variance)
         if evidence > best.evidence:
-            known = np.array([size]), np.sqrt([variance])
             best = replace(
-                one, sizes=known[0], deviations=known[1], evidence=float(evidence), gain=gain
+                one,
+                sizes=np.array([size]),
+                deviations=np.sqrt([variance]),
+                excess=abs(size) / np.sqrt(variance),
+                evidence=float(evidence),
+                gain=gain,
             )
         size += (S[1, 0] / S[1, 1] - size * variance / prior**2) / (1.0 + variance / prior**2)
     return best

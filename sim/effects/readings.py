@@ -91,7 +91,7 @@ class EncoderOffset(Offset):
         channels=(*_POSE, "joint_torque"),
         belongs_to="run",
         prior=Prior(0.05, "Haarnoja et al., Science Robotics 2024: 2.9 degrees"),
-        motion="walk crouched and tall, and turn on the spot",
+        motion="read the joint at a known angle, or walk crouched and tall and turn on the spot",
     )
 
 
