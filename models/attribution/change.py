@@ -337,7 +337,8 @@ def _prior(key: Key, limbs: Limbs) -> float:
 def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
     """An explanation by those of its sizes that the runs show, to first order; None for none."""
     # Motion in a plane does not show where a link's centre of mass is across it.
-    keys = tuple(k for k in keys if (at := 1 + new.keys.index(k)) and new.metric.S[at, at] > NOTHING)
+    shown = np.diag(new.metric.S)[1:] > NOTHING
+    keys = tuple(key for key in keys if shown[new.keys.index(key)])
     if not keys:
         return None
     place = [1 + new.keys.index(key) for key in keys]

@@ -48,7 +48,7 @@ class LegCompliance(Effect):
         needs=("q",),
         unseen_by=("joint_rate", "command"),
         prior=Prior(0.005, "25 times that of gears in the Harmonic Drive catalogue: plastic parts"),
-        motion="load and unload the joint at one angle, as legs in stance and swing: a spring yields",
+        motion="load and unload the joint at one angle, as in stance and swing: a spring yields",
         # No published figure was found: manufacturers of gears state typical stiffnesses only.
         spread=0.25,
     )
