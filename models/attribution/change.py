@@ -23,10 +23,12 @@ from surefoot.models.attribution.effect_sizes import (
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
-from surefoot.models.attribution.judgement import ChannelLevel
+from surefoot.models.attribution.forces import outside_forces
+from surefoot.models.attribution.judgement import NOISE_RATIO, ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
+    MEAN_WINDOW,
     NOTHING,
     PER_RUN,
     ZERO,
@@ -34,6 +36,7 @@ from surefoot.models.attribution.model_error import (
     at_middles,
     evidence_of,
 )
+from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
@@ -148,6 +151,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
         )
     known = replace(known, noise={g: x for g, x in known.noise.items() if g in shown})
     found, new = _best(cases, evidence, rates, known)
+    if found.verdict == "unchanged" and (beyond := _beyond(new, known)):
+        found = replace(found, verdict="not_identifiable", reasons=beyond)
     return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
 
 
@@ -289,6 +294,21 @@ def _best(
         return Change("not_identifiable", reasons, (), rivals, least), new
     verdict = "confounded" if rivals else "attributed"
     return Change(verdict, (), _found(best, new.machine), rivals, least), new
+
+
+def _beyond(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
+    """What shows that runs of which no change is named are not as the unchanged ones, if anything:
+    outside forces, or else how much more noise they have.
+    """
+    group = next(iter(unchanged.noise))
+    ratio = new.known.noise[group] / unchanged.noise[group]
+    if ratio < NOISE_RATIO:
+        return ()
+    metric, fixed = new.metric, new.cases[0].fixed
+    left = np.where(metric.root > 0.0, metric.left(np.zeros(len(new.keys))), np.nan)
+    pushes = outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
+    words = tuple(one.in_words() for one in pushes)
+    return words or (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
 
 
 def _ranked(new: _NewRuns) -> list[Hypothesis]:
