@@ -258,7 +258,8 @@ def _best(
             break
         known = replace(known, noise={group: left * x for group, x in known.noise.items()})
         new, first = tried(known)
-    least = {one.keys[0]: _least(one, new) for one in first if len(one.keys) == 1}
+    sensors = [one.keys for one in first if one.of_sensor]
+    least = {one.keys[0]: _least(one, sensors, new) for one in first if len(one.keys) == 1}
     if contradicted := _contradicted(rates, known):
         return Change("not_identifiable", contradicted, (), (), least), new
     # Of explanations that are about as good, the one of the fewest parts and sizes.
@@ -421,10 +422,25 @@ def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
     return best
 
 
-def _least(one: Hypothesis, new: _NewRuns) -> float:
-    """The least size that is named in 95 of 100 runs like these."""
+def _least(one: Hypothesis, sensors: Sequence[tuple[Key, ...]], new: _NewRuns) -> float:
+    """The least size that is named in 95 of 100 runs like these; of a change of the machine, also
+    told from errors of sensors.
+    """
     deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
-    return float(least_named(deviation, prior, NAMED, least_excess(new.known)) + SURE * deviation)
+    named = float(least_named(deviation, prior, NAMED, least_excess(new.known)))
+    if not one.of_sensor:
+        apart = min((_apart(one.keys[0], keys, new) for keys in sensors), default=1.0)
+        named = max(named, np.sqrt(AS_LIKELY / apart) * deviation)
+    return named + SURE * deviation
+
+
+def _apart(key: Key, keys: tuple[Key, ...], new: _NewRuns) -> float:
+    """Share of what a candidate explains that other candidates do not (above 0, to 1)."""
+    own, place = 1 + new.keys.index(key), [1 + new.keys.index(other) for other in keys]
+    S, spread = new.metric.S, np.array([_prior(other, new.limbs) for other in keys])
+    unknown = 0.0 if _is_lost_zero(keys) else spread**-2.0
+    A, b = S[np.ix_(place, place)] + np.diag(unknown * np.ones(len(keys))), S[place, own]
+    return max(1.0 - float(b @ np.linalg.solve(A, b)) / float(S[own, own]), NOTHING)
 
 
 def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tuple[str, ...]:
