@@ -192,16 +192,18 @@ class _NewRuns:
         i, j = (1 + self.keys.index(key) for key in (one, other))
         return float(abs(S[i, j]) / np.sqrt(S[i, i] * S[j, j]))
 
-    def at(self, key: Key, size: float) -> np.ndarray:
-        """Products (2, 2) of the true residual with this size compensated and of its derivative; a
-        zero may be beyond its bounds.
+    def at(self, keys: Sequence[Key], sizes: np.ndarray) -> np.ndarray:
+        """Products (1 + k, 1 + k) of the true residual with these k sizes compensated and of its
+        derivatives; a zero, which stands alone, may be beyond its bounds.
         """
-        cases, chosen = self.cases, [effect(*key, size)] if key[0] != ZERO else []
-        if key[0] == ZERO:
-            column = f"q_{key[1]}"
-            logs = [c.log.with_columns({column: c.log.columns[column] - size}) for c in cases]
+        cases, chosen = self.cases, []
+        if _is_lost_zero(keys):
+            column = f"q_{keys[0][1]}"
+            logs = [c.log.with_columns({column: c.log.columns[column] - sizes[0]}) for c in cases]
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
-        evidence = linearise(cases, chosen, [key], evaluation_channels=False, nuisance=False)
+        else:
+            chosen = [effect(*key, x) for key, x in zip(keys, sizes, strict=True)]
+        evidence = linearise(cases, chosen, keys, evaluation_channels=False, nuisance=False)
         if cases[0].fixed:
             evidence = at_middles(evidence)
         return self.metric.products(evidence.table, evidence.X)
@@ -318,10 +320,10 @@ def _ranked(new: _NewRuns) -> list[Hypothesis]:
     first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
     if first[0].evidence < NAMED:
         return first
-    single = [one for one in first if len(one.keys) == 1]
-    near = [one for one in single if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
+    of_effects = [one for one in first if one.keys[-1][0] != ANGLE_ERROR]
+    near = [one for one in of_effects if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
     # Far from zero, a lost zero does not look like its derivative.
-    near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
+    near += [one for one in of_effects if _is_lost_zero(one.keys) and one.part <= first[0].part]
     refined = {one.keys: _refined(one, new) for one in near}
     return sorted((refined.get(one.keys, one) for one in first), key=lambda one: -one.evidence)
 
@@ -387,38 +389,42 @@ def _is_sampling_lag(one: Hypothesis, machine: Machine, rate: float) -> bool:
     return is_sampling_lag(lag, rate)
 
 
-def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
+def _is_lost_zero(keys: Sequence[Key]) -> bool:
     """Whether an explanation is a zero alone, which may have any size."""
     return keys[0][0] == ZERO and len(keys) == 1
 
 
 def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
-    """An explanation by a single size, refined on the true residual."""
-    (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
-    size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
-    if _is_lost_zero(one.keys) and (abs(size) > FAR or new.cases[0].fixed):
+    """An explanation refined on the true residual."""
+    keys, lost, best = one.keys, _is_lost_zero(one.keys), replace(one, evidence=-np.inf)
+    sizes, prior = one.sizes, np.array([_prior(key, new.limbs) for key in keys])
+    if lost and (abs(sizes[0]) > FAR or new.cases[0].fixed):
         # The residual is a wave over a turn, and half a turn away seems to be none; start from the
         # best of some zeros.
-        size = min((*FAR_STARTS, size), key=lambda start: new.at(key, start)[0, 0])
+        starts = [np.array([start]) for start in (*FAR_STARTS, sizes[0])]
+        sizes = min(starts, key=lambda start: new.at(keys, start)[0, 0])
     for _ in range(REFINEMENTS):
-        if _is_lost_zero(one.keys):
-            prior = max(prior, abs(size))
+        if lost:
+            prior = np.maximum(prior, np.abs(sizes))
         else:
-            size = with_clipped_size(effect(*key, 0.0), size, new.machine).value
-        S = new.at(key, size)
-        variance = 1.0 / S[1, 1]
-        gain = float(new.metric.S[0, 0] - S[0, 0])
-        evidence = gain - (size / prior) ** 2 - np.log1p(prior**2 / variance)
+            effects = [effect(*key, 0.0) for key in keys]
+            pairs = zip(effects, sizes, strict=True)
+            sizes = np.array([with_clipped_size(e, x, new.machine).value for e, x in pairs])
+        S = new.at(keys, sizes)
+        A, gain = S[1:, 1:], float(new.metric.S[0, 0] - S[0, 0])
+        shrink = np.linalg.slogdet(np.eye(len(keys)) + prior[:, None] * A * prior)[1]
+        evidence = float(gain - np.sum((sizes / prior) ** 2) - shrink)
         if evidence > best.evidence:
             best = replace(
                 one,
-                sizes=np.array([size]),
-                deviations=np.sqrt([variance]),
-                excess=abs(size) / np.sqrt(variance),
-                evidence=float(evidence),
+                sizes=sizes,
+                deviations=np.sqrt(np.diag(np.linalg.pinv(A, hermitian=True))),
+                excess=float(np.sqrt(sizes @ A @ sizes)),
+                evidence=evidence,
                 gain=gain,
             )
-        size += (S[1, 0] / S[1, 1] - size * variance / prior**2) / (1.0 + variance / prior**2)
+        known = np.diag(prior**-2.0)
+        sizes = sizes + np.linalg.solve(A + known, S[1:, 0] - known @ sizes)
     return best
 
 
