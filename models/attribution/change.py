@@ -443,10 +443,9 @@ def _least(one: Hypothesis, sensors: Sequence[tuple[Key, ...]], new: _NewRuns) -
 def _apart(key: Key, keys: tuple[Key, ...], new: _NewRuns) -> float:
     """Share of what a candidate explains that other candidates do not (above 0, to 1)."""
     own, place = 1 + new.keys.index(key), [1 + new.keys.index(other) for other in keys]
-    S, spread = new.metric.S, np.array([_prior(other, new.limbs) for other in keys])
-    unknown = 0.0 if _is_lost_zero(keys) else spread**-2.0
-    A, b = S[np.ix_(place, place)] + np.diag(unknown * np.ones(len(keys))), S[place, own]
-    return max(1.0 - float(b @ np.linalg.solve(A, b)) / float(S[own, own]), NOTHING)
+    known = [0.0 if _is_lost_zero(keys) else _prior(other, new.limbs) ** -2.0 for other in keys]
+    A, b = new.metric.S[np.ix_(place, place)] + np.diag(known), new.metric.S[place, own]
+    return max(1.0 - float(b @ np.linalg.solve(A, b)) / float(new.metric.S[own, own]), NOTHING)
 
 
 def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tuple[str, ...]:
