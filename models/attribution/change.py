@@ -23,10 +23,12 @@ from surefoot.models.attribution.effect_sizes import (
 )
 from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
-from surefoot.models.attribution.judgement import ChannelLevel
+from surefoot.models.attribution.forces import outside_forces
+from surefoot.models.attribution.judgement import NOISE_RATIO, ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
     ANGLE_ERROR,
+    MEAN_WINDOW,
     NOTHING,
     PER_RUN,
     ZERO,
@@ -34,6 +36,7 @@ from surefoot.models.attribution.model_error import (
     at_middles,
     evidence_of,
 )
+from surefoot.models.residuals.binning import BIN
 from surefoot.models.residuals.channels import channels
 from surefoot.sim.effects import AXES, effect, known_effects
 from surefoot.sim.log import LogError, MemoisedLog
@@ -85,6 +88,7 @@ class Hypothesis:
         part: what it is of: the targets of an effect, or the joint whose sensor is in error.
         sizes: (k,).
         deviations: standard deviations of the sizes (k,), as the runs tell them.
+        excess: the sizes in standard deviations, all of them together (Mahalanobis).
         evidence: twice the logarithm of its odds against the unchanged machine.
         gain: reduction of the runs' squared error by it.
         overlap: cosine between its first regressor and that of the explanation it is a rival of.
@@ -94,14 +98,10 @@ class Hypothesis:
     part: frozenset[str]
     sizes: np.ndarray
     deviations: np.ndarray
+    excess: float
     evidence: float
     gain: float
     overlap: float = 1.0
-
-    @property
-    def excess(self) -> float:
-        """The largest of its sizes in standard deviations."""
-        return float(np.max(np.abs(self.sizes) / self.deviations))
 
     @property
     def of_sensor(self) -> bool:
@@ -151,6 +151,8 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
         )
     known = replace(known, noise={g: x for g, x in known.noise.items() if g in shown})
     found, new = _best(cases, evidence, rates, known)
+    if found.verdict == "unchanged" and (beyond := _beyond(new, known)):
+        found = replace(found, verdict="not_identifiable", reasons=beyond)
     return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
 
 
@@ -190,16 +192,18 @@ class _NewRuns:
         i, j = (1 + self.keys.index(key) for key in (one, other))
         return float(abs(S[i, j]) / np.sqrt(S[i, i] * S[j, j]))
 
-    def at(self, key: Key, size: float) -> np.ndarray:
-        """Products (2, 2) of the true residual with this size compensated and of its derivative; a
-        zero may be beyond its bounds.
+    def at(self, keys: Sequence[Key], sizes: np.ndarray) -> np.ndarray:
+        """Products (1 + k, 1 + k) of the true residual with these k sizes compensated and of its
+        derivatives; a zero, which stands alone, may be beyond its bounds.
         """
-        cases, chosen = self.cases, [effect(*key, size)] if key[0] != ZERO else []
-        if key[0] == ZERO:
-            column = f"q_{key[1]}"
-            logs = [c.log.with_columns({column: c.log.columns[column] - size}) for c in cases]
+        cases, chosen = self.cases, []
+        if _is_lost_zero(keys):
+            column = f"q_{keys[0][1]}"
+            logs = [c.log.with_columns({column: c.log.columns[column] - sizes[0]}) for c in cases]
             cases = [replace(c, log=MemoisedLog.of(x)) for c, x in zip(cases, logs, strict=True)]
-        evidence = linearise(cases, chosen, [key], evaluation_channels=False, nuisance=False)
+        else:
+            chosen = [effect(*key, x) for key, x in zip(keys, sizes, strict=True)]
+        evidence = linearise(cases, chosen, keys, evaluation_channels=False, nuisance=False)
         if cases[0].fixed:
             evidence = at_middles(evidence)
         return self.metric.products(evidence.table, evidence.X)
@@ -256,7 +260,8 @@ def _best(
             break
         known = replace(known, noise={group: left * x for group, x in known.noise.items()})
         new, first = tried(known)
-    least = {one.keys[0]: _least(one, new) for one in first if len(one.keys) == 1}
+    sensors = [one.keys for one in first if one.of_sensor]
+    least = {one.keys[0]: _least(one, sensors, new) for one in first if len(one.keys) == 1}
     if contradicted := _contradicted(rates, known):
         return Change("not_identifiable", contradicted, (), (), least), new
     # Of explanations that are about as good, the one of the fewest parts and sizes.
@@ -294,16 +299,31 @@ def _best(
     return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
+def _beyond(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
+    """What shows that runs of which no change is named are not as the unchanged ones, if anything:
+    outside forces, or else how much more noise they have.
+    """
+    group = next(iter(unchanged.noise))
+    ratio = new.known.noise[group] / unchanged.noise[group]
+    if ratio < NOISE_RATIO:
+        return ()
+    metric, fixed = new.metric, new.cases[0].fixed
+    left = np.where(metric.root > 0.0, metric.left(np.zeros(len(new.keys))), np.nan)
+    pushes = outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
+    words = tuple(one.in_words() for one in pushes)
+    return words or (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
+
+
 def _ranked(new: _NewRuns) -> list[Hypothesis]:
     """Every explanation, the one with the greatest evidence first."""
     tried = [_explained(keys, part, new) for keys, part in _explanations(new)]
     first = sorted((one for one in tried if one is not None), key=lambda one: -one.evidence)
     if first[0].evidence < NAMED:
         return first
-    single = [one for one in first if len(one.keys) == 1]
-    near = [one for one in single if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
+    of_effects = [one for one in first if one.keys[-1][0] != ANGLE_ERROR]
+    near = [one for one in of_effects if one.evidence > _NEAR * first[0].evidence][:CONTENDERS]
     # Far from zero, a lost zero does not look like its derivative.
-    near += [one for one in single if _is_lost_zero(one.keys) and one.part <= first[0].part]
+    near += [one for one in of_effects if _is_lost_zero(one.keys) and one.part <= first[0].part]
     refined = {one.keys: _refined(one, new) for one in near}
     return sorted((refined.get(one.keys, one) for one in first), key=lambda one: -one.evidence)
 
@@ -338,11 +358,14 @@ def _prior(key: Key, limbs: Limbs) -> float:
 
 
 def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hypothesis | None:
-    """An explanation with its sizes, to first order; None where the runs do not show it."""
+    """An explanation by those of its sizes that the runs show, to first order; None for none."""
+    # Motion in a plane does not show where a link's centre of mass is across it.
+    shown = np.diag(new.metric.S)[1:] > NOTHING
+    keys = tuple(key for key in keys if shown[new.keys.index(key)])
+    if not keys:
+        return None
     place = [1 + new.keys.index(key) for key in keys]
     A, b = new.metric.S[np.ix_(place, place)], new.metric.S[place, 0]
-    if np.diag(A).min() < NOTHING:
-        return None
     covariance = np.linalg.pinv(A, hermitian=True)
     alone = covariance @ b
     prior = np.array([_prior(key, new.limbs) for key in keys])
@@ -352,8 +375,9 @@ def _explained(keys: tuple[Key, ...], part: frozenset[str], new: _NewRuns) -> Hy
     inner, pull = np.eye(len(keys)) + prior[:, None] * A * prior, prior * b
     sizes = np.linalg.solve(inner, pull)
     evidence = float(pull @ sizes - np.linalg.slogdet(inner)[1])
-    deviations = np.sqrt(np.diag(covariance))
-    return Hypothesis(keys, part, prior * sizes, deviations, evidence, float(alone @ b))
+    sizes *= prior
+    deviations, excess = np.sqrt(np.diag(covariance)), float(np.sqrt(sizes @ A @ sizes))
+    return Hypothesis(keys, part, sizes, deviations, excess, evidence, float(alone @ b))
 
 
 def _is_sampling_lag(one: Hypothesis, machine: Machine, rate: float) -> bool:
@@ -365,41 +389,63 @@ def _is_sampling_lag(one: Hypothesis, machine: Machine, rate: float) -> bool:
     return is_sampling_lag(lag, rate)
 
 
-def _is_lost_zero(keys: tuple[Key, ...]) -> bool:
+def _is_lost_zero(keys: Sequence[Key]) -> bool:
     """Whether an explanation is a zero alone, which may have any size."""
     return keys[0][0] == ZERO and len(keys) == 1
 
 
 def _refined(one: Hypothesis, new: _NewRuns) -> Hypothesis:
-    """An explanation by a single size, refined on the true residual."""
-    (key,), prior = one.keys, _prior(one.keys[0], new.limbs)
-    size, best = float(one.sizes[0]), replace(one, evidence=-np.inf)
-    if _is_lost_zero(one.keys) and (abs(size) > FAR or new.cases[0].fixed):
+    """An explanation refined on the true residual."""
+    keys, lost, best = one.keys, _is_lost_zero(one.keys), replace(one, evidence=-np.inf)
+    sizes, prior = one.sizes, np.array([_prior(key, new.limbs) for key in keys])
+    if lost and (abs(sizes[0]) > FAR or new.cases[0].fixed):
         # The residual is a wave over a turn, and half a turn away seems to be none; start from the
         # best of some zeros.
-        size = min((*FAR_STARTS, size), key=lambda start: new.at(key, start)[0, 0])
+        starts = [np.array([start]) for start in (*FAR_STARTS, sizes[0])]
+        sizes = min(starts, key=lambda start: new.at(keys, start)[0, 0])
     for _ in range(REFINEMENTS):
-        if _is_lost_zero(one.keys):
-            prior = max(prior, abs(size))
+        if lost:
+            prior = np.maximum(prior, np.abs(sizes))
         else:
-            size = with_clipped_size(effect(*key, 0.0), size, new.machine).value
-        S = new.at(key, size)
-        variance = 1.0 / S[1, 1]
-        gain = float(new.metric.S[0, 0] - S[0, 0])
-        evidence = gain - (size / prior) ** 2 - np.log1p(prior**2 / variance)
+            effects = [effect(*key, 0.0) for key in keys]
+            pairs = zip(effects, sizes, strict=True)
+            sizes = np.array([with_clipped_size(e, x, new.machine).value for e, x in pairs])
+        S = new.at(keys, sizes)
+        A, gain = S[1:, 1:], float(new.metric.S[0, 0] - S[0, 0])
+        shrink = np.linalg.slogdet(np.eye(len(keys)) + prior[:, None] * A * prior)[1]
+        evidence = float(gain - np.sum((sizes / prior) ** 2) - shrink)
         if evidence > best.evidence:
-            known = np.array([size]), np.sqrt([variance])
             best = replace(
-                one, sizes=known[0], deviations=known[1], evidence=float(evidence), gain=gain
+                one,
+                sizes=sizes,
+                deviations=np.sqrt(np.diag(np.linalg.pinv(A, hermitian=True))),
+                excess=float(np.sqrt(sizes @ A @ sizes)),
+                evidence=evidence,
+                gain=gain,
             )
-        size += (S[1, 0] / S[1, 1] - size * variance / prior**2) / (1.0 + variance / prior**2)
+        known = np.diag(prior**-2.0)
+        sizes = sizes + np.linalg.solve(A + known, S[1:, 0] - known @ sizes)
     return best
 
 
-def _least(one: Hypothesis, new: _NewRuns) -> float:
-    """The least size that is named in 95 of 100 runs like these."""
+def _least(one: Hypothesis, sensors: Sequence[tuple[Key, ...]], new: _NewRuns) -> float:
+    """The least size that is named in 95 of 100 runs like these; of a change of the machine, also
+    told from errors of sensors.
+    """
     deviation, prior = float(one.deviations[0]), _prior(one.keys[0], new.limbs)
-    return float(least_named(deviation, prior, NAMED, least_excess(new.known)) + SURE * deviation)
+    named = float(least_named(deviation, prior, NAMED, least_excess(new.known)))
+    if not one.of_sensor:
+        apart = min((_apart(one.keys[0], keys, new) for keys in sensors), default=1.0)
+        named = max(named, np.sqrt(AS_LIKELY / apart) * deviation)
+    return named + SURE * deviation
+
+
+def _apart(key: Key, keys: tuple[Key, ...], new: _NewRuns) -> float:
+    """Share of what a candidate explains that other candidates do not (above 0, to 1)."""
+    own, place = 1 + new.keys.index(key), [1 + new.keys.index(other) for other in keys]
+    known = [0.0 if _is_lost_zero(keys) else _prior(other, new.limbs) ** -2.0 for other in keys]
+    A, b = new.metric.S[np.ix_(place, place)] + np.diag(known), new.metric.S[place, own]
+    return max(1.0 - float(b @ np.linalg.solve(A, b)) / float(new.metric.S[own, own]), NOTHING)
 
 
 def _contradicted(rates: Sequence[Mapping[str, float]], known: ModelError) -> tuple[str, ...]:

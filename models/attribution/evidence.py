@@ -198,13 +198,11 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
             continue
         if case.by_feet and not kind.traced.on_given_feet:
             continue
-        of_torques = getattr(kind, "readings", ()) == ("tau",)
         keys += [
             (kind.name, target)
             for target in kind.targets_on(limbs)
             if there & {*kind.traced_at(target).channels}
-            # A joint without a drive has no reading of a torque that may err.
-            and not (of_torques and {*kind.members_of(target, limbs)} <= {*case.undriven})
+            and not (kind.by_torque and {*kind.members_of(target, limbs)} <= {*case.undriven})
             and not (legged is not None and kind.equals_another(target, legged))
         ]
     return tuple(keys)

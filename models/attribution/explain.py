@@ -726,8 +726,8 @@ def _replaced(state: _State, chosen: Chosen) -> tuple[Chosen | None, tuple[tuple
         S = beside.S[1:, 1:]
         with np.errstate(invalid="ignore"):
             overlap = np.abs(S[own]) / np.sqrt(S[own, own] * np.diag(S))
-        gains = beside.S[1:, 0] ** 2 / np.where(np.isfinite(beside.deviations), np.diag(S), np.inf)
-        alike = (overlap > TWIN_OVERLAP) & (gains > gains[own] - NAMED)
+        # To first order, the gain of a large size may be off by more than NAMED.
+        alike = overlap > TWIN_OVERLAP
         earned = state.earned(problem.keys, beside.sizes, beside.deviations)
         able = (earned > 0.0) & ((beside.evidence > beside.evidence[own]) | alike)
         able[problem.at(chosen.keys)] = False

@@ -93,6 +93,7 @@ def sections(found: Trace) -> list[Section]:
         channel_row(name, vars(one)) | {"": state_of(one)}
         for name, one in found.unseen_channels.items()
     ]
+    left = [*beyond_bounds(found), *unexplained_in_words(found)]
     sizes = [_sized(found, key, size) for key, size in found.least.items()]
     title = "Least changes that would have been named in 95 of 100 such logs"
     least = _given(title, [], sizes)
@@ -102,6 +103,7 @@ def sections(found: Trace) -> list[Section]:
         *_of_filters(found),
         *_given("Effects found", [named], _sizes(found, found.found)),
         *_given("Residual of each channel", [levels], residuals),
+        *_given("What the remaining residual correlates with", left),
         *_given("Notes", first),
         *(least if found.verdict == "unchanged" else [replace(one, folded=True) for one in least]),
         *(replace(one, folded=True) for one in _details(found, lacking, assumed)),
@@ -176,10 +178,8 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
         _sized(found, (one.name, one.target), one.value) | {"because": why}
         for one, why in found.rejected
     ]
-    left = [*beyond_bounds(found), *unexplained_in_words(found)]
     every = filter_rows(found.judged_filters, filters.REPORTED)
     return [
-        *_given("What the remaining residual correlates with", left),
         *_given("What these logs cannot show", lacking),
         *_given("What is assumed", assumed),
         *_given(_EVERY_METRIC, [], every),

@@ -157,6 +157,10 @@ class Effect:
     """Kind of part that the effect is on, or the names of its targets if they are no parts."""
     groups: ClassVar[bool] = False
     """Whether a group of parts may share one size (`group_targets`)."""
+    by_torque: ClassVar[bool] = False
+    """Whether it grows with the torque of a joint's drive or errs in its reading, so that a joint
+    without a drive cannot have it.
+    """
     traced: ClassVar[Traced] = Traced()
     """How `trace` looks for the effect."""
 

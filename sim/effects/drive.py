@@ -115,6 +115,7 @@ class LoadFriction(DriveEffect):
     unit = "ratio"
     bounds = (0.0, 0.9)
     dry = True
+    by_torque = True
     traced = _drive(
         channels=("joint_torque", "base_wrench"),
         prior=Prior(0.3, "maxon catalogue, GP 42 C: planetary gearheads of 90 to 64 % efficiency"),
@@ -185,6 +186,7 @@ class Backlash(Effect):
     bounds = (0.0, 0.1)
     targets = "joint"
     groups = True
+    by_torque = True
     traced = _drive(
         channels=("joint_rate", "leg_velocity", "foot_height", "base_wrench"),
         step=2e-4,

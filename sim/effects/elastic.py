@@ -41,13 +41,14 @@ class LegCompliance(Effect):
     bounds = (0.0, 0.02)
     targets = "joint"
     groups = True
+    by_torque = True
     traced = _spring(
         channels=("leg_velocity", "foot_height", "base_wrench", "joint_torque"),
         step=2e-5,
         needs=("q",),
         unseen_by=("joint_rate", "command"),
         prior=Prior(0.005, "25 times that of gears in the Harmonic Drive catalogue: plastic parts"),
-        motion="stand on the leg and lift it: a compliant leg yields under load",
+        motion="load and unload the joint at one angle, as in stance and swing: a spring yields",
         # No published figure was found: manufacturers of gears state typical stiffnesses only.
         spread=0.25,
     )

@@ -91,7 +91,7 @@ class EncoderOffset(Offset):
         channels=(*_POSE, "joint_torque"),
         belongs_to="run",
         prior=Prior(0.05, "Haarnoja et al., Science Robotics 2024: 2.9 degrees"),
-        motion="walk crouched and tall, and turn on the spot",
+        motion="read the joint at a known angle, or walk crouched and tall and turn on the spot",
     )
 
 
@@ -122,6 +122,7 @@ class TorqueScale(Scale):
     bounds = (-0.5, 0.5)
     groups = True
     readings = ("tau",)
+    by_torque = True
     traced = _reading(
         channels=_TORQUE,
         step=1e-2,
@@ -138,6 +139,7 @@ class TorqueBias(Offset):
     unit = "N m"
     bounds = (-2e3, 2e3)
     readings = ("tau",)
+    by_torque = True
     traced = _reading(
         channels=_TORQUE,
         step=0.1,

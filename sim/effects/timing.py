@@ -95,7 +95,7 @@ class JointDelay(Delay):
         # Nothing but the residual tells a lag beyond the linear range.
         starts=(4e-3, 0.03, -0.03),
         prior=LATENCY,
-        motion="change the gait's frequency: a delay's error grows with it",
+        motion="swing the joints fast and slowly: a delay's error grows with their rate",
     )
 
 
@@ -137,7 +137,7 @@ class RateDelay(Delay):
         # Longer than a row, so that noise is not differentiated as the slope of rates.
         step=4e-3,
         prior=LATENCY,
-        motion="swing the legs faster: a delay's error grows with the acceleration",
+        motion="swing the joints faster: a delay's error grows with the acceleration",
     )
 
 

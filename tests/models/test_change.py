@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from machines import ARM, machine, moved
 from pendulum import swung
 
 from surefoot.models.attribution.change import CONTRADICTION, NAMED, find_change
@@ -88,6 +89,45 @@ def test_an_encoder_that_hangs_is_named_and_no_mass(known):
     change = find_change([hung], known)
     assert (change.verdict, change.found) == ("not_identifiable", ())
     assert "q_shoulder and dq_shoulder contradict each other" in change.reasons[0]
+
+
+def test_a_hand_is_said_with_its_time_and_the_run_is_not_called_unchanged(known):
+    change = find_change([case(60, armature=0.012, pushes=(4.0, 4.15, 4.3))], known)
+    assert (change.verdict, change.found) == ("not_identifiable", ())
+    (said,) = change.reasons
+    assert said.startswith("outside forces of up to")
+    begin, end = (float(said.split()[place]) for place in (-7, -5))
+    assert 3.3 < begin < 4.1 < 4.4 < end < 5.2
+
+
+def test_a_shift_of_the_centre_that_a_lost_zero_imitates_has_a_large_least_size(known):
+    """Along the pendulum it is told from a zero, across it by little but the second order."""
+    least = find_change([case(10, armature=0.012)], known).least
+    sizes = [size for (name, _), size in least.items() if name == "link_com"]
+    assert max(sizes) > 10.0 * min(sizes)
+
+
+def test_what_a_load_changes_is_told_on_a_machine_that_moves_in_a_plane(tmp_path):
+    """Its mass and the shift of the centre, though nothing shows the shift across the plane."""
+    arm, noise = machine(ARM, tmp_path), {"shoulder": 0.2, "elbow": 0.1}
+
+    def run(edit=lambda spec: None, seed=0):
+        return log_under_model(moved(arm, noise, edit, seed), arm)
+
+    def loaded(spec):
+        ball = spec.joint("elbow").parent.add_body(pos=(0.28, 0.0, 0.0))
+        ball.add_geom(size=[0.02, 0, 0], mass=0.5, contype=0, conaffinity=0)
+
+    known = model_error([run_sums(run(seed=seed)) for seed in range(3)], arm.limbs)
+    assert known is not None
+    change = find_change([run(loaded, 9)], known)
+    assert change.verdict == "attributed"
+    found = {(one.effect.name, one.effect.target): one.interval for one in change.found}
+    low, high = found["link_mass", "elbow"]
+    assert low < 0.5 < high
+    # The centre of the link and of the load, from that of the link.
+    low, high = found["link_com", "elbow_x"]
+    assert low < 0.5 * (0.28 - 0.15) / 3.5 < high
 
 
 def test_runs_add_up(known):

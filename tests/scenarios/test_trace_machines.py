@@ -138,6 +138,16 @@ def test_mass_and_place_of_one_link_are_told_apart_where_it_moves_fast(arm):
         assert sizes[one.name, one.target] == pytest.approx(one.value, rel=0.05)
 
 
+def test_a_wrong_zero_of_a_last_link_is_not_told_from_its_centre_of_mass(arm):
+    log = driven(arm)
+    found = trace_logs([log.with_columns({"q_elbow": log.q[:, 1] + 0.08})], arm)
+    assert found.verdict == "confounded"
+    named = {(e.name, e.target) for e in found.effects} | {
+        (one["name"], one["target"]) for one in found.rivals
+    }
+    assert named >= {("encoder_offset", "elbow"), ("link_com", "elbow_x")}
+
+
 def test_a_heavier_pendulum_is_named_and_no_encoder_scale_stands_in_for_it():
     """A torque scale nearly can: what a pendulum's mass weighs and what it resists grow alike."""
     pendulum = load_machine("ak80_pendulum")

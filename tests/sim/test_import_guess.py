@@ -237,6 +237,20 @@ def test_the_joints_of_an_arm_are_those_of_its_file(tmp_path):
     }
 
 
+def test_what_slides_has_units_of_distance_speed_and_force(tmp_path):
+    bodies = '<body><joint name="rail" type="slide" axis="1 0 0"/><geom size=".1"/>'
+    bodies += '<body><joint name="boom" axis="0 1 0"/><geom size=".1"/></body></body>'
+    crane = written(tmp_path / "crane.xml", f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    t = 0.004 * np.arange(2000)
+    run = {"t": t, "boom_pos": np.sin(t), "boom_vel": np.cos(t), "boom_effort": np.cos(t)}
+    run |= {"rail_pos": 300.0 * np.sin(t), "rail_vel": 0.3 * np.cos(t), "rail_effort": np.cos(t)}
+    found = entries_of(guess_map([csv(tmp_path, run)], str(crane)))
+    assert {name: one.unit for name, one in found.items()} == {
+        **{"t": "s", "q_boom": "rad", "dq_boom": "rad/s", "tau_boom": "N m"},
+        **{"q_rail": "mm", "dq_rail": "m/s", "tau_rail": "N"},
+    }
+
+
 def test_a_file_of_which_nothing_is_used_is_asked_about(tmp_path):
     t = 0.01 * np.arange(200)
     run = csv(tmp_path, {"time": t, "angle_knee": np.sin(t)})

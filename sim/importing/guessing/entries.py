@@ -17,6 +17,7 @@ from surefoot.sim.importing.guessing.units import (
     unit_of_angles,
     unit_of_gyro,
     unit_of_rates,
+    unit_of_travels,
 )
 from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 
@@ -280,8 +281,27 @@ def _longer_inside(file: RecordedFile, angles: Columns) -> bool:
 
 def _joint_entries(file: RecordedFile, joints: _Joints) -> tuple[list[Entry], float | None]:
     """Entries of the joints, and the rate of the rows [Hz] where joint rates determine it."""
+    slides = file.machine.limbs.slides if file.machine is not None else ()
     entries: list[Entry] = []
     rate = None
+    for slide in (False, True):
+        alike = {
+            kind: {joint: one for joint, one in of_kind.items() if (joint in slides) is slide}
+            for kind, of_kind in joints.items()
+        }
+        found, rows = _entries_alike(file, {k: one for k, one in alike.items() if one}, slide)
+        entries, rate = entries + found, rate or rows
+    return entries, rate
+
+
+def _entries_alike(
+    file: RecordedFile, joints: _Joints, slide: bool
+) -> tuple[list[Entry], float | None]:
+    """The same of joints that all turn, or all `slide`."""
+    entries: list[Entry] = []
+    rate, unit_of, rates_in, force = None, unit_of_angles, UNITS["dq"], "N m"
+    if slide:
+        unit_of, rates_in, force = unit_of_travels, UNITS["ref_v"], "N"
     values = {
         kind: {joint: file.columns[one.theirs] for joint, one in of_kind.items()}
         for kind, of_kind in joints.items()
@@ -291,17 +311,19 @@ def _joint_entries(file: RecordedFile, joints: _Joints) -> tuple[list[Entry], fl
         prefix, readings = kind, values[kind]
         names = [file.names[one.theirs] for one in of_joint.values()]
         if kind.startswith("q"):
-            unit, doubt = unit_of_angles(readings.values(), {one.unit for one in names})
+            unit, doubt = unit_of(readings.values(), {one.unit for one in names})
         elif kind.startswith("dq"):
             angles = values.get("q" if kind == "dq" else "q_des", {})
             both = [joint for joint in readings if joint in angles]
             rates = [readings[joint] for joint in both or readings]
-            unit, doubt, rows = unit_of_rates(file.seconds, rates, [angles[j] for j in both])
+            scale = UNITS["q"][unit_of(angles.values(), set())[0]]
+            angles = [scale * angles[joint] for joint in both]
+            unit, doubt, rows = unit_of_rates(file.seconds, rates, angles, rates_in)
             rate = rows or rate
         else:
-            unit = "N m"
+            unit = force
             most = max(float(np.quantile(np.abs(v), 0.99)) for v in readings.values())
-            doubt = "are these N m, or current?" if most > 300.0 else ""
+            doubt = f"are these {unit}, or current?" if most > 300.0 else ""
             if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
                 prefix, unit = f"x_{kind}", None
                 doubt = "never negative: magnitudes, of which unit?"

@@ -4,7 +4,7 @@ Units follow from magnitudes, and from columns that measure the same: rates and 
 angles, the gyro and the rotation of gravity. Left and right follow from the strides in turns.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -14,6 +14,8 @@ from surefoot.sim.log.derived import JOINT_WINDOW, derivative
 
 _LARGEST_ANGLE = 4.0 * np.pi
 """Largest plausible joint angle [rad], two turns; larger ones are in degrees."""
+_LONGEST_TRAVEL = 5.0
+"""Largest plausible distance of a joint that slides [m]."""
 _SURE_ANGLE = 3.5
 """Largest joint angle that is certainly in radians [rad]."""
 _NEAR = 1.25
@@ -43,8 +45,20 @@ def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, 
     return "rad", "" if most < _SURE_ANGLE else "rad or deg?"
 
 
+def unit_of_travels(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, str]:
+    """Unit of the distances of joints that slide, each (N,), and a doubt; `named` as above."""
+    for unit in UNITS["foot"]:
+        if unit in named:
+            return unit, ""
+    most = max((float(np.quantile(np.abs(v), 0.99)) for v in values), default=0.0)
+    return ("m", "") if most < _LONGEST_TRAVEL else ("mm", "mm or cm?")
+
+
 def unit_of_rates(
-    t: np.ndarray | None, rates: Sequence[np.ndarray], angles: Sequence[np.ndarray]
+    t: np.ndarray | None,
+    rates: Sequence[np.ndarray],
+    angles: Sequence[np.ndarray],
+    units: Mapping[str, float] = UNITS["dq"],
 ) -> tuple[str, str, float | None]:
     """Unit of joint rates, by the derivative of their angles, and a doubt.
 
@@ -54,29 +68,30 @@ def unit_of_rates(
     Args:
         t: (N,) [s], or None.
         rates: of joints, each (N,).
-        angles: of the same joints, each (N,), in any unit; may be empty.
+        angles: of the same joints, each (N,) [rad or m]; may be empty.
+        units: of which it is one.
     """
+    first = next(iter(units))
     if not angles:
         most = max(float(np.quantile(np.abs(v), 0.99)) for v in rates)
         unit, other = ("rad/s", "deg/s") if most < 60.0 else ("deg/s", "rad/s")
         return unit, f"{unit} or {other}?", None
     q, dq = np.column_stack(angles), np.column_stack(rates)
-    scale = 1.0 if unit_of_angles(angles, set())[0] == "rad" else DEGREE
     times = t if t is not None else _ASSUMED_STEP * np.arange(len(q))
     window = max(JOINT_WINDOW, 5.0 * float(np.median(np.diff(times))))
-    change = scale * derivative(times, q, window, causal=False)
+    change = derivative(times, q, window, causal=False)
     alike = np.sum(change * dq) / max(np.linalg.norm(change) * np.linalg.norm(dq), 1e-12)
     ratio = np.sum(change * dq) / max(float(np.sum(dq**2)), 1e-12)
     if abs(alike) < _AGREE:
-        return "rad/s", "does not follow its angle: of which joint, in which unit?", None
+        return first, "does not follow its angle: of which joint, in which unit?", None
     if t is None:
         # The ratio is the assumed rate of the rows over the true one.
         rows = float(f"{1.0 / _ASSUMED_STEP / abs(ratio):.3g}") if abs(ratio) > 1e-3 else None
-        return "rad/s", "rad/s, if the rate of the rows is right?", rows
-    for unit, size in UNITS["dq"].items():
+        return first, f"{first}, if the rate of the rows is right?", rows
+    for unit, size in units.items():
         if 1.0 / _NEAR < abs(ratio) / size < _NEAR:
             return unit, "" if ratio > 0.0 else "counts against its angle: sign = -1?", None
-    return "rad/s", f"is {1.0 / ratio:.3g} times the change of its angle: in which unit?", None
+    return first, f"is {1.0 / ratio:.3g} times the change of its angle: in which unit?", None
 
 
 def unit_of_gyro(
