@@ -424,12 +424,7 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
 
 
 def _sampling_lags(found: Sequence[Found], cases: Sequence[LogUnderModel]) -> list[Found]:
-    """Lags within a row of the logs of a machine on a fixed base (`is_sampling_lag`).
-
-    They belong to the logs and are no effects of the machine.
-    """
-    if not all(case.fixed for case in cases):
-        return []
+    """Lags within a row of the logs (`is_sampling_lag`), which are no effects of the machine."""
     slowest = min(case.log.rate for case in cases)
     return [one for one in found if is_sampling_lag(one.effect, slowest)]
 
