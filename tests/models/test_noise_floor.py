@@ -48,6 +48,16 @@ def case():
     return log_under_model(log, ROBOT)
 
 
+def test_walks_of_the_floor_have_rates_as_noisy_as_the_log():
+    log, rng = case().log, np.random.default_rng(1)
+    noise = 0.04 * rng.normal(size=log.dq.shape)
+    columns = {f"dq_{j}": (log.dq + noise)[:, i] for i, j in enumerate(log.joints)}
+    plans = [
+        noise_floor([log_under_model(one, ROBOT)]).plan for one in (log, log.with_columns(columns))
+    ]
+    assert [one.rate_noise for one in plans if one] == [1, 4]
+
+
 def formed(signal=None, column=1):
     """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
     bins = len(case().motion.t)
