@@ -156,7 +156,7 @@ class FloorPlan:
         evenness: standard deviation of the ground's height from a plane [m].
         slippery: friction of places in which feet slide; None where there are none.
         gait: of the walks.
-        rate_noise: noise of joint rates, in multiples of that of their data sheet.
+        rate_noise: noise of joint rates [rad/s].
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
@@ -170,7 +170,7 @@ class FloorPlan:
     evenness: float
     slippery: float | None
     gait: GaitOptions
-    rate_noise: int
+    rate_noise: float
     sampling: ReferenceSampling | None
     ground: tuple[Effect, ...]
     effects: tuple[Effect, ...]
@@ -267,7 +267,7 @@ def noise_floor(
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
         gait=PLAIN_GAIT,
-        rate_noise=1,
+        rate_noise=Sensors.velocity_noise,
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
@@ -282,7 +282,7 @@ def noise_floor(
         if rougher and (in_measured_gait := _floor_walks(rough)):
             plan, walks = rough, in_measured_gait
     if walks and "dq" in plan.groups:
-        plan = replace(plan, rate_noise=max(1, round(_rate_noise(cases, walks))))
+        plan = replace(plan, rate_noise=_rate_noise(cases, walks))
         walks = _floor_walks(plan)
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
@@ -425,19 +425,24 @@ def _roughness(cases: Sequence[LogUnderModel]) -> float:
 
 
 def _rate_noise(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> float:
-    """Noise density of joint rates, over that of the walks: root mean square over joints of the
-    median second difference, on which impacts have little influence, both at the lower rate.
+    """Noise of joint rates [rad/s] by which walks would have that of the logs, to a tenth of the
+    data sheet's.
+
+    From the median second difference, on which impacts have little influence, at the lower rate:
+    sqrt(6) times the noise, of which the median magnitude is 0.6745. Motion adds as much to both.
     """
     logs = [case.log for case in cases], [one.case.log for one in walks]
     slowest = min(log.rate for log in (*logs[0], *logs[1]))
 
     def density(log: Log) -> float:
-        rates = log.dq[:: round(log.rate / slowest)]
-        bends = np.median(np.abs(np.diff(rates, n=2, axis=0)), axis=0)
-        return float(np.mean(bends**2) / log.rate)
+        bends = np.diff(log.dq[:: round(log.rate / slowest)], n=2, axis=0)
+        square = np.mean(np.median(np.abs(bends), axis=0) ** 2) / (6.0 * 0.6745**2)
+        return float(square / log.rate)
 
     measured, simulated = (np.mean([density(log) for log in one]) for one in logs)
-    return float(np.sqrt(measured / simulated))
+    least = Sensors.velocity_noise
+    more = max(measured - simulated, 0.0) * walks[0].case.log.rate
+    return round(float(np.sqrt(1.0 + more / least**2)), 1) * least
 
 
 def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
@@ -476,7 +481,7 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
             segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
         )
         stand = STAND if course else _SECONDS
-        sensors = Sensors(velocity_noise=plan.rate_noise * Sensors.velocity_noise)
+        sensors = Sensors(velocity_noise=plan.rate_noise)
         scenario = Scenario("floor", segments, ground, sensors=sensors, stand=stand, gait=plan.gait)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)

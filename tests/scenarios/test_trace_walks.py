@@ -86,7 +86,9 @@ def test_slides_on_two_patches_are_in_places():
     assert found.slides >= forces.FEWEST_SLIDES
     assert found.held > 1.5 * found.limit
     assert not found.everywhere
+    assert sum(found.by_leg.values()) == found.slides
     (note,) = forces.slip_notes(found, True)
+    assert all(f"{leg} {count}" in note for leg, count in found.by_leg.items())
     assert "in places; feet that did not slide" in note
 
 
