@@ -225,15 +225,14 @@ def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
 def test_errors_that_simulated_walks_have_too_are_no_harm(zigzag):
     """An effect that is not there harms, unless a walk with the right model errs as much."""
     (case,), absent = logs_under_model([zigzag], ROBOT, ()), effect("link_length", "thigh", 0.02)
-    exact, erring = (FloorWalk(case, one, *NO_TABLE) for one in ((), (absent,)))
+    none = np.zeros(0)
+    weights = RobustWeights(none, none, none, 0.0, none)
+    exact, erring = (FloorWalk(case, one, none, weights) for one in ((), (absent,)))
     harm = filters.harmful_to_filters([case], [absent], [exact])
     assert harm is not None
     assert harm[0] == absent
     assert filters.harmful_to_filters([case], [absent], [exact, erring]) is None
     assert filters.harmful_to_filters([case], [absent], []) == harm
-
-
-NO_TABLE = np.zeros((0, 0)), RobustWeights(*[np.zeros(0)] * 3, 0.0, np.zeros(0))
 
 
 T = np.linspace(0.0, 10.0, 1001)
