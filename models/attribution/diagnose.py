@@ -58,6 +58,7 @@ from surefoot.models.attribution.model_error import (
     run_sums,
 )
 from surefoot.models.attribution.noise_floor import (
+    FloorWalk,
     NoiseFloor,
     left_deviations,
     noise_floor,
@@ -183,17 +184,19 @@ class DiagnosisOptions:
         since: error of the model in runs of the unchanged machine, from the trace that found
             `declared`. With it, the diagnosis says what changed since (`find_change`).
         holdout: logs of the same machine, on which the result is judged and nothing is fitted.
-        harmful: of logs and effects, an effect that makes some use of the model worse, and why it
-            harms; None if none does. Asked of the held-out logs where there are any.
+        harmful: of logs, effects and simulated walks of a robot with these, an effect that makes
+            some use of the model worse, and why it harms; None if none does. Asked of the held-out
+            logs where there are any.
     """
 
     seed: int = 0
     declared: Sequence[Effect] | None = None
     since: ModelError | None = None
     holdout: Sequence[Log] = ()
-    harmful: Callable[[Sequence[LogUnderModel], Sequence[Effect]], tuple[Effect, str] | None] = (
-        lambda cases, effects: None
-    )
+    harmful: Callable[
+        [Sequence[LogUnderModel], Sequence[Effect], Sequence[FloorWalk]],
+        tuple[Effect, str] | None,
+    ] = lambda cases, effects, walks: None
 
 
 DEFAULT_OPTIONS = DiagnosisOptions()
@@ -252,7 +255,9 @@ def diagnose(
             data = [Unseen(sides, split.report, parts)]
             if unseen:
                 data.append(_held_out(unseen, effects, (), floor, several, model)[1])
-            return find_harmful_effect(data) or options.harmful(unseen or now.cases, effects)
+            return find_harmful_effect(data) or options.harmful(
+                unseen or now.cases, effects, floor.walks
+            )
 
         def needed(
             metric: Metric, now: Problem, effects: Sequence[Effect], others: Sequence[Effect]
@@ -419,12 +424,7 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
 
 
 def _sampling_lags(found: Sequence[Found], cases: Sequence[LogUnderModel]) -> list[Found]:
-    """Lags within a row of the logs of a machine on a fixed base (`is_sampling_lag`).
-
-    They belong to the logs and are no effects of the machine.
-    """
-    if not all(case.fixed for case in cases):
-        return []
+    """Lags within a row of the logs (`is_sampling_lag`), which are no effects of the machine."""
     slowest = min(case.log.rate for case in cases)
     return [one for one in found if is_sampling_lag(one.effect, slowest)]
 

@@ -10,8 +10,9 @@ motion requires (`base_wrench`), on a fixed base the torques from what the joint
 for a while and not at every stride; an error of the robot's model recurs with its gait or motion.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -84,6 +85,7 @@ class FootFriction:
         scatter: interquartile range of their friction, relative to `limit`.
         everywhere: whether slides occur on most of the way and not on patches only.
         held: 99 % quantile of the friction used without sliding, a lower bound.
+        by_leg: number of slides of each leg that slid.
     """
 
     limit: float | None
@@ -92,6 +94,7 @@ class FootFriction:
     everywhere: bool
     held: float
     scatter: float = 0.0
+    by_leg: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def consistent(self) -> bool:
@@ -121,7 +124,7 @@ def estimate_friction(
     able = [case for case in cases if _is_determined(case)]
     if not able:
         return None
-    held, slides, places = [], [], []
+    held, slides, places, by_leg = [], [], [], Counter[str]()
     for number, case in enumerate(able):
         speed, along, used = _feet(case)
         held.append(used[speed < SLOWEST_SLIP])
@@ -133,6 +136,7 @@ def estimate_friction(
                 if len(one) >= SHORTEST_SLIDE * case.log.rate:
                     slides.append(np.median(along[one, leg]))
                     places.append((number, case.log.t[one[0]]))
+                    by_leg[case.log.legs[leg]] += 1
     used = np.concatenate(held)
     most = float(np.quantile(used, 0.99)) if len(used) else 0.0
     if len(slides) < FEWEST_SLIDES:
@@ -150,7 +154,7 @@ def estimate_friction(
     length = span / max(1, parts)
     with_slides = {(log, t // length) for log, t in places}
     everywhere = len(with_slides) / max(1, parts) > EVERYWHERE
-    return FootFriction(limit, (low, high), len(slides), everywhere, most, scatter)
+    return FootFriction(limit, (low, high), len(slides), everywhere, most, scatter, dict(by_leg))
 
 
 def slip_effect(friction: FootFriction | None) -> tuple[Found, ...]:
@@ -195,11 +199,12 @@ def slip_notes(friction: FootFriction | None, walks: bool) -> tuple[str, ...]:
     low, high = friction.interval
     where = "all along the way" if friction.everywhere else "in places"
     size = f"{friction.limit:.2f} ({low:.2f} to {high:.2f})"
-    note = f"friction: {many} at a coefficient of {size}, {where}"
+    legs = ", ".join(f"{leg} {count}" for leg, count in friction.by_leg.items())
+    note = f"friction: {many} ({legs}) at a coefficient of {size}, {where}"
     if not friction.consistent:
         note += f"; feet that did not slide used a coefficient of up to {friction.held:.2f}"
         if friction.everywhere:
-            note += ", so a delay or leg compliance may look like sliding"
+            note += ", so soles differ, or a delay or leg compliance may look like sliding"
     return (note,)
 
 

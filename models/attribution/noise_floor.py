@@ -44,9 +44,11 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import Effect, known_effects
 from surefoot.sim.gait.options import MEASURED_GAIT, PLAIN_GAIT, GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
+from surefoot.sim.log import Log
 from surefoot.sim.log.schema import group_columns
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
 
@@ -154,6 +156,7 @@ class FloorPlan:
         evenness: standard deviation of the ground's height from a plane [m].
         slippery: friction of places in which feet slide; None where there are none.
         gait: of the walks.
+        rate_noise: noise of joint rates [rad/s].
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
@@ -167,6 +170,7 @@ class FloorPlan:
     evenness: float
     slippery: float | None
     gait: GaitOptions
+    rate_noise: float
     sampling: ReferenceSampling | None
     ground: tuple[Effect, ...]
     effects: tuple[Effect, ...]
@@ -241,10 +245,11 @@ def noise_floor(
 
     Each of a few short walks follows a section of the reference's body velocities, on ground as
     uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
-    about as rough as the logs'. Seeds are fixed, so the floor is a function of the logs. A section
-    on which the robot falls is repeated at lower speed. For a robot that cannot walk at all the
-    floor is the sensors' noise by their data sheets, for a machine on a fixed base the noise of its
-    readings, and for one that is known by its feet alone that noise and POINT_FEET_LEVELS.
+    about as rough as the logs', and joint rates are as noisy. Seeds are fixed, so the floor is a
+    function of the logs. A section on which the robot falls is repeated at lower speed. For a robot
+    that cannot walk at all the floor is the sensors' noise by their data sheets, for a machine on a
+    fixed base the noise of its readings, and for one that is known by its feet alone that noise and
+    POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
@@ -262,6 +267,7 @@ def noise_floor(
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
         gait=PLAIN_GAIT,
+        rate_noise=Sensors.velocity_noise,
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
@@ -275,6 +281,9 @@ def noise_floor(
         rougher = _roughness(cases) > ROUGHER * _roughness([one.case for one in walks])
         if rougher and (in_measured_gait := _floor_walks(rough)):
             plan, walks = rough, in_measured_gait
+    if walks and "dq" in plan.groups:
+        plan = replace(plan, rate_noise=_rate_noise(cases, walks))
+        walks = _floor_walks(plan)
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
         return _floor_of_walks(walks, error, plan)
@@ -415,6 +424,27 @@ def _roughness(cases: Sequence[LogUnderModel]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(bends) ** 2)))
 
 
+def _rate_noise(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> float:
+    """Noise of joint rates [rad/s] by which walks would have that of the logs, to a tenth of the
+    data sheet's.
+
+    From the median second difference, on which impacts have little influence, at the lower rate:
+    sqrt(6) times the noise, of which the median magnitude is 0.6745. Motion adds as much to both.
+    """
+    logs = [case.log for case in cases], [one.case.log for one in walks]
+    slowest = min(log.rate for log in (*logs[0], *logs[1]))
+
+    def density(log: Log) -> float:
+        bends = np.diff(log.dq[:: round(log.rate / slowest)], n=2, axis=0)
+        square = np.mean(np.median(np.abs(bends), axis=0) ** 2) / (6.0 * 0.6745**2)
+        return float(square / log.rate)
+
+    measured, simulated = (np.mean([density(log) for log in one]) for one in logs)
+    least = Sensors.velocity_noise
+    more = max(measured - simulated, 0.0) * walks[0].case.log.rate
+    return round(float(np.sqrt(1.0 + more / least**2)), 1) * least
+
+
 def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
     """The course of each walk, as the logs went; empty where the robot stands on all feet."""
     if all(c.log.has("contact") and np.mean(c.log.contact) > STANDS for c in cases):
@@ -451,7 +481,8 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
             segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
         )
         stand = STAND if course else _SECONDS
-        scenario = Scenario("floor", segments, ground, stand=stand, gait=plan.gait)
+        sensors = Sensors(velocity_noise=plan.rate_noise)
+        scenario = Scenario("floor", segments, ground, sensors=sensors, stand=stand, gait=plan.gait)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot

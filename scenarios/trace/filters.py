@@ -13,6 +13,7 @@ from surefoot.estimator.evaluation.health import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
 from surefoot.models.attribution.evidence import LogUnderModel
+from surefoot.models.attribution.noise_floor import FloorWalk
 from surefoot.models.residuals.binning import at_rows
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named, traits
 from surefoot.scenarios.estimate.run import Learnt, estimated_in_chunks, health_of
@@ -263,37 +264,27 @@ def stretch(log: Log, begin: float, end: float) -> Log | None:
 
 
 def harmful_to_filters(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect]
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect], walks: Sequence[FloorWalk]
 ) -> tuple[Effect, str] | None:
     """The effect without which leg odometry or the leg filter errs least, and why it harms;
     None where neither errs more with the effects than without one of them.
 
     Judged by the relative error (RPE) on `LOG_PARTS` of each log: the mean increase exceeds `HARM`,
-    and zero with a confidence of 97.5 % by Student's t.
+    and zero with a confidence of 97.5 % by Student's t. Errors up to the largest on simulated walks
+    of such a robot (`walks`) count alike: they are the method's own, which another error may
+    cancel.
     """
-    parts = [
-        (case, *ends)
-        for case in _judging(cases)
-        for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], LOG_PARTS + 1))
-    ]
-
-    def errors(compensated: Sequence[Effect]) -> dict[str, np.ndarray]:
-        """Logarithm of the RPE of each part (n,), by filter."""
-        found: dict[str, list[float]] = {}
-        for case, begin, end in parts:
-            truth, tried = _by_legs(case, compensated, begin, end)
-            for name, estimate in tried.items():
-                error = evaluate(truth, estimate).rpe_trans
-                found.setdefault(name, []).append(np.log(max(error, 1e-12)))
-        return {name: np.array(x) for name, x in found.items()}
-
-    known, worst = errors(effects), None
+    parts = [(case, effects, LOG_PARTS) for case in _judging(cases)]
+    known, worst = _errors_by_legs(parts), None
+    of_walks = _errors_by_legs([(one.case, one.effects, 1) for one in walks])
     for one in effects:
-        less = errors([e for e in effects if e != one])
+        rest = [e for e in effects if e != one]
+        less = _errors_by_legs([(case, rest, LOG_PARTS) for case in _judging(cases)])
         for name, with_all in known.items():
             if name not in less or len(less[name]) != len(with_all):
                 continue
-            more = with_all - less[name]
+            usual = np.nanmax([-np.inf, *of_walks.get(name, ())])
+            more = np.maximum(with_all, usual) - np.maximum(less[name], usual)
             more = more[np.isfinite(more)]
             if len(more) < LOG_PARTS - 1 or np.mean(more) < np.log(HARM):
                 continue
@@ -301,6 +292,22 @@ def harmful_to_filters(
             if excess > 0.0:
                 worst = max(worst or (0.0, one, name), (excess, one, name), key=lambda x: x[0])
     return worst and (worst[1], f"it makes {worst[2]} worse")
+
+
+def _errors_by_legs(
+    logs: Sequence[tuple[LogUnderModel, Sequence[Effect], int]],
+) -> dict[str, np.ndarray]:
+    """Logarithm of the RPE (n,) of leg odometry and the leg filter, by name, on so many equal parts
+    of each log with these effects compensated.
+    """
+    found: dict[str, list[float]] = {}
+    for case, compensated, parts in logs:
+        for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], parts + 1)):
+            truth, tried = _by_legs(case, compensated, *ends)
+            for name, estimate in tried.items():
+                error = evaluate(truth, estimate).rpe_trans
+                found.setdefault(name, []).append(np.log(max(error, 1e-12)))
+    return {name: np.array(x) for name, x in found.items()}
 
 
 def change_of_errors(sides: Mapping[str, Mapping[str, float]]) -> str:

@@ -54,8 +54,10 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         align = Step(
             "Check clock and place of the reference", command("align", files.logs[0], out="aligned")
         )
+        feet = () if robot.fixed else ("--contacts",)
+        check = _line("info", files.logs[0], *feet)
         return (
-            Step("Check stamps, signs and contacts of the log", _line("info", files.logs[0])),
+            Step("Check stamps, signs and contacts of the log", check),
             *([align] if filters else []),
             *use,
             Step("Write what remains as an effect of your own, see the guide 'Your own effect'"),

@@ -140,7 +140,10 @@ def _reference_columns(table: ReferenceTable, sources: tuple[str, ...]) -> dict[
             raise SurefootError(f"[reference.columns] {name} is missing")
     for name, column in columns.items():
         if name not in needed:
-            raise SurefootError(f"[reference.columns] {name}: only t, ref_p and ref_q go here")
+            raise SurefootError(
+                f"[reference.columns] {name}: only t, ref_p and ref_q go here; a reference with "
+                "ref_v goes into [columns] as a whole, and [reference] has no file"
+            )
         if column.source:
             raise SurefootError(
                 f"[reference.columns] {name} is of another file: give [reference] file"

@@ -14,14 +14,15 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.log.log import Log
 
 JOINT_WINDOW = 0.025
-"""Window for joints [s]: passes 50 Hz at 400 to 500 Hz, faster than any motion of a leg of this
-size.
+"""Window for joints [s]: passes nine tenths of the amplitude at 12 Hz and half at 30 Hz, from rows
+at 400 to 500 Hz.
 """
 RATE_WINDOW = 0.006
 """Averaging time of rates before they are differentiated [s]."""
 REFERENCE_WINDOW = 0.1
-"""Window for references [s]: motion capture has 60 to 120 Hz and stamps accurate to milliseconds;
-about 12 Hz pass.
+"""Window for references [s]: motion capture has 60 to 120 Hz and stamps accurate to milliseconds.
+It passes three quarters of the amplitude at 5 Hz, half at 8 Hz and a tenth at 12 Hz: the bounce of
+a fast trot is underestimated.
 """
 
 

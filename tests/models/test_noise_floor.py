@@ -48,6 +48,15 @@ def case():
     return log_under_model(log, ROBOT)
 
 
+def test_walks_of_the_floor_have_rates_as_noisy_as_the_log():
+    log, rng = case().log, np.random.default_rng(1)
+    noisy = log.dq + 0.04 * rng.normal(size=log.dq.shape)
+    columns = {f"dq_{j}": noisy[:, i] for i, j in enumerate(log.joints)}
+    cases = [log_under_model(one, ROBOT) for one in (log, log.with_columns(columns))]
+    noise = [plan.rate_noise for one in cases if (plan := noise_floor([one]).plan)]
+    assert noise == pytest.approx([0.01, np.hypot(0.01, 0.04)], rel=0.1)
+
+
 def formed(signal=None, column=1):
     """The form of white noise, with `signal` (a regressor's name) on one column of the gyro."""
     bins = len(case().motion.t)

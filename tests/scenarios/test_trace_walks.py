@@ -21,6 +21,8 @@ from surefoot.extend import (
 from surefoot.models.attribution import forces
 from surefoot.models.attribution.diagnose import diagnose, logs_under_model
 from surefoot.models.attribution.evidence import linearise, log_under_model
+from surefoot.models.attribution.noise_floor import FloorWalk
+from surefoot.models.attribution.weights import RobustWeights
 from surefoot.scenarios.trace import filters
 from surefoot.scenarios.trace.run import TraceOptions, trace_logs
 from surefoot.sim.scenario_catalog import scenario_file
@@ -84,7 +86,9 @@ def test_slides_on_two_patches_are_in_places():
     assert found.slides >= forces.FEWEST_SLIDES
     assert found.held > 1.5 * found.limit
     assert not found.everywhere
+    assert sum(found.by_leg.values()) == found.slides
     (note,) = forces.slip_notes(found, True)
+    assert all(f"{leg} {count}" in note for leg, count in found.by_leg.items())
     assert "in places; feet that did not slide" in note
 
 
@@ -216,6 +220,19 @@ def test_an_effect_that_grows_with_time_is_explained_before_the_log_is_cut(log):
     imu = next(one for one in found if one.filter == "imu")
     assert imu.metrics[0].ape_rot > 5 * imu.metrics[1].ape_rot
     assert np.isfinite(imu.metrics[1].ape_trans)
+
+
+def test_errors_that_simulated_walks_have_too_are_no_harm(zigzag):
+    """An effect that is not there harms, unless a walk with the right model errs as much."""
+    (case,), absent = logs_under_model([zigzag], ROBOT, ()), effect("link_length", "thigh", 0.02)
+    none = np.zeros(0)
+    weights = RobustWeights(none, none, none, 0.0, none)
+    exact, erring = (FloorWalk(case, one, none, weights) for one in ((), (absent,)))
+    harm = filters.harmful_to_filters([case], [absent], [exact])
+    assert harm is not None
+    assert harm[0] == absent
+    assert filters.harmful_to_filters([case], [absent], [exact, erring]) is None
+    assert filters.harmful_to_filters([case], [absent], []) == harm
 
 
 T = np.linspace(0.0, 10.0, 1001)
