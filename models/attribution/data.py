@@ -199,8 +199,8 @@ def data_notes(cases: Sequence[LogUnderModel], floor: NoiseFloor) -> tuple[str, 
         notes += _not_identifiable(cases)
     elif not all(case.log.has("ref_v") for case in cases):
         notes.append(
-            "the reference's velocity is derived from its positions, which halves motions at 8 Hz; "
-            "where the robot bounces faster than 5 Hz, delays, scales and hips may seem to err"
+            "the reference's velocity is derived from its positions, which halves motions at 13 "
+            "Hz; where the robot bounces faster than 8 Hz, delays, scales and hips may seem to err"
         )
         if floor.walks or by_feet:
             notes += [note for case in cases for note in reference_notes(case.log)]
