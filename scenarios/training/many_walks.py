@@ -97,10 +97,12 @@ def many_walks(
         raise SurefootError("walks must be at least 1, and workers not negative")
     check_limit("walks", count, "walks")
     check_seed(settings.walk_seed)
+    if logs := [one for one in scenarios if one.endswith(".parquet")]:
+        raise SurefootError(f"{logs[0]}: a log; with --walks, give scenarios or nothing")
     courses = [Scenario.load(one) for one in scenarios]
     robots = {settings.robot} if settings.robot else {course.robot for course in courses}
     if len(robots) != 1 or (robot := next(iter(robots))) is None:
-        raise SurefootError("walks: give one robot, since an observer is of one")
+        raise SurefootError("walks: give one robot (--robot), since an observer is of one")
     settled = known_robot(robot), count, role, settings.walk_seed
     return drawn_walks(*settled, courses, workers=settings.workers)
 

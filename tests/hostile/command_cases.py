@@ -106,6 +106,7 @@ OPTIONS = [
     ("nothing to hide", "simulate scenario.toml --undeclared -o new", "needs effects"),
     ("a suite of no such name", "experiment vision -o new", "bundled are spot, vision60"),
     ("a log too short to learn from", "train walk.parquet -o new.safetensors", "training takes"),
+    ("a log where scenarios are drawn", "train walk.parquet --walks 2 -o new.safetensors", "give scenarios"),
     ("a page below a file", "realism walk.parquet -o new --page mine.txt/page.md", "mine.txt"),
 ]
 
