@@ -764,7 +764,10 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     at = state.problem.at([chosen.keys[place]])
     size -= state.bias(at, chosen.deviations[[place]])[0]
     excess = max(size, 0.0) / np.hypot(chosen.deviations[place], state.problem.unknown[at][0])
-    return f"{excess:.1f} of {state.least_excess:.1f} standard deviations, or too little evidence"
+    least = state.least_excess * (0.5 if state.problem.certain[at][0] else 1.0)
+    if excess < least:
+        return f"{excess:.1f} of {least:.1f} standard deviations"
+    return f"{excess:.1f} standard deviations, too little evidence for the price of one more effect"
 
 
 def _not_imitated(
