@@ -6,7 +6,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import surefoot
-from surefoot.models.observer.settings import INSTALL_TORCH, torch_is_installed
 from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.experiments.catalog import SUITES, experiment_file
@@ -57,8 +56,6 @@ class LoopCommand(settings.LoopSettings, settings.TraceInputs):
         robot = surefoot.Robot.for_log(log, self.robot)
         declared = None if self.declared is None else load_effects(self.declared)
         print("\n" + loop(log, robot, self, declared, read_logs(self.holdout)))
-        if not torch_is_installed():
-            print(f"No observers are trained: {INSTALL_TORCH}\n")
         print(f"report: {self.out / 'report.html'}")
 
 

