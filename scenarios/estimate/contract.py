@@ -94,7 +94,7 @@ class Learnt:
     def gaussian(self) -> Observer:
         """The observer that predicts a covariance. Raises SurefootError naming the option."""
         found = [one for one in self.observers if one.loss == "gml"]
-        self._require_one(found, "trained with loss gml")
+        self._require_one(found, "trained with loss gml, which predicts a covariance")
         return found[0]
 
     def bounded(self, loss: str | None = None) -> tuple[Observer, Bounds]:
@@ -105,7 +105,8 @@ class Learnt:
         pairs = [(o, b) for o in wanted for b in self.bounds if b.observer == o.hash]
         if wanted and not pairs:
             raise SurefootError(
-                "needs bounds of its observer: those given belong to another; calibrate this one"
+                "needs bounds of its observer: those given belong to another observer; calibrate "
+                "this one"
             )
         pairs = [pair for pair in pairs if pair[0].loss == "mse"] or pairs
         loss = loss or pairs[0][0].loss

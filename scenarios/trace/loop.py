@@ -123,7 +123,7 @@ def loop(
         steps.append(_step(name, effects, [learnt, learnt], measured, corrected))
     measured, corrected = _compensated(log, robot, steps[-1].effects)
     if not reason:
-        how = replace(TRAIN_DEFAULT, inputs=inputs_of(log), seed=seed, batch=BATCH)
+        how = replace(TRAIN_DEFAULT, seed=seed, batch=BATCH)
         try:
             tuned = _tuned(steps[-1].learnt[0], measured, corrected, out / "tuned", how)
             steps.append(_step("tuned", steps[-1].effects, tuned, measured, corrected))
@@ -134,13 +134,15 @@ def loop(
 
 def ends(log: Log) -> list[Log]:
     """Both ends of a log, the first one first, each END of its duration."""
-    share = (log.t - log.t[0]) / (log.t[-1] - log.t[0])
-    return [log.rows(np.flatnonzero(share <= END)), log.rows(np.flatnonzero(share >= 1.0 - END))]
+    return _parts(log)[::2]
 
 
-def _middle(log: Log) -> Log:
+def _parts(log: Log) -> list[Log]:
+    """First end, middle and last end of a log."""
     share = (log.t - log.t[0]) / (log.t[-1] - log.t[0])
-    return log.rows(np.flatnonzero((share > END) & (share < 1.0 - END)))
+    cuts = np.searchsorted(share, END, "right"), np.searchsorted(share, 1.0 - END)
+    rows = np.split(np.arange(len(share)), cuts)
+    return [log.rows(one) for one in rows]
 
 
 def _step(
@@ -298,7 +300,7 @@ def _tuned(
         for end, other in zip(ENDS, reversed(ends(log)), strict=True):
             for observer, bounds in zip(learnt.observers, learnt.bounds, strict=True):
                 tuned = train(other, robot, settings, start=observer)
-                unseen = unseen_errors(tuned, [_middle(log)], robot)
+                unseen = unseen_errors(tuned, [_parts(log)[1]], robot)
                 # As far apart as independent errors are, or as the middle allows.
                 K = max(1, min(bounds.K, len(unseen.errors[0]) // needed))
                 new = bounds_on(tuned, unseen, replace(CALIBRATE_DEFAULT, K=K))

@@ -11,8 +11,7 @@ import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.models.calibration.empirical_coverage import bounded_errors, coverage
-from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import predict, prediction_errors
+from surefoot.models.observer.predict import judged, predict
 from surefoot.scenarios.compare import Comparison, velocity_pictures
 from surefoot.scenarios.estimate.error_series import NAMED_AXES, error_series
 from surefoot.scenarios.estimate.estimators import traits
@@ -153,8 +152,9 @@ def _observers(steps: Sequence[LoopStep]) -> list[dict[str, Any]]:
             errors, inside = [], []
             for learnt, end in zip(step.learnt, step.ends, strict=True):
                 assert end.robot is not None
-                errors.append(_while_moving(learnt.observers[k], end.log, end.robot))
                 seen = predict(learnt.observers[k], end.log, end.robot)
+                at, of_all, _ = judged(seen, end.log)
+                errors.append(of_all[moving(end.log)[at]])
                 bounds = learnt.bounds[k]
                 _, bounded = bounded_errors(seen, bounds, end.log, end.robot.R_BI)
                 inside.append(100 * coverage(bounded, bounds).joint)
@@ -165,11 +165,6 @@ def _observers(steps: Sequence[LoopStep]) -> list[dict[str, Any]]:
             row["norm [m/s]"] = float(np.linalg.norm(rmse))
             rows.append(row | {"bounds hold [%]": float(np.mean(inside))})
     return rows
-
-
-def _while_moving(observer: Observer, log: Log, robot: Robot) -> np.ndarray:
-    rows, errors = prediction_errors(observer, log, robot)
-    return errors[moving(log)[rows]]
 
 
 def _of_observers(observers: pd.DataFrame) -> list[Section]:
