@@ -21,7 +21,7 @@ RATE_WINDOW = 0.006
 """Averaging time of rates before they are differentiated [s]."""
 REFERENCE_WINDOW = 0.06
 """Window for references [s]: motion capture has 60 to 120 Hz and stamps accurate to milliseconds.
-It passes nine tenths of the amplitude at 5 Hz, half at 13 Hz and a tenth at 20 Hz. With 0.1 s, and
+It passes nine tenths of the amplitude at 5 Hz, half at 13 Hz and a tenth at 21 Hz. With 0.1 s, and
 three quarters at 5 Hz, `trace` took the missing bounce of a trot for the scale of an encoder.
 """
 
