@@ -36,7 +36,8 @@ def align_file(settings: AlignSettings) -> tuple[Alignment, tuple[str, ...]]:
     out, robot = settings.out, settings.robot
     for name in _OUTPUTS:
         refuse_overwrite(out / name, settings.force)
-    recording = None if settings.map is None else read_recording(settings.file, settings.map)
+    file, map_path = settings.file, settings.map
+    recording = None if map_path is None else read_recording(file, map_path, robot)
     log, poses, about, R_GW = _read(settings.file, recording)
     if len(poses.t) < 2 or min(np.ptp(log.t), np.ptp(poses.t)) < LEAST_OVERLAP:
         raise SurefootError(f"{log.name}: IMU and reference share too little to be aligned")

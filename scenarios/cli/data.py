@@ -60,8 +60,8 @@ class Import(settings.CheckedSettings, settings.ContactsSettings, settings.Outpu
     is printed if there is no -o.
     """
     robot: str | None = None
-    """With --guess: name of the robot, or its file (MJCF or URDF), whose joints the columns are
-    assigned to.
+    """Name of the robot, or its file (MJCF or URDF), in place of the map's; with --guess, the one
+    whose joints the columns are assigned to.
     """
 
     def run(self) -> None:
@@ -75,12 +75,10 @@ class Import(settings.CheckedSettings, settings.ContactsSettings, settings.Outpu
         if self.map is None or self.out is None:
             name = "map" if self.map is None else "out"
             raise SurefootError(f"--{name} is missing; to draft a map, give --guess")
-        if self.robot:
-            raise SurefootError("--robot is only for --guess; the robot is named in the map")
         from surefoot.scenarios.estimate.inputs import findings_of, warned
         from surefoot.sim.importing.advice import advised_lines
 
-        recording = surefoot.read_recording(files, self.map)
+        recording = surefoot.read_recording(files, self.map, self.robot)
         log = recording.log()
         if set(log.frame) == {"t"}:
             raise SurefootError(f"{self.map}: names no column but the times")

@@ -38,17 +38,18 @@ STEM = "{name}"
 """Placeholder in the name of a further file for the main one's name, without its suffix."""
 
 
-def import_log(files: Files, map_path: str | Path) -> Log:
+def import_log(files: Files, map_path: str | Path, robot: str | None = None) -> Log:
     """Import a recording as a log.
 
     files: its main file or the folder that contains it, then further files that the map does not
-    name, in the map's order. `map_path` is a map's file or the name of a bundled map. Rows outside
-    the reference are cut. Raises SurefootError (LogError) in one line with file, column and row.
+    name, in the map's order. `map_path` is a map's file or the name of a bundled map. `robot`, a
+    name or file, takes the place of the map's. Rows outside the reference are cut. Raises
+    SurefootError (LogError) in one line with file, column and row.
     """
-    return read_recording(files, map_path).log()
+    return read_recording(files, map_path, robot).log()
 
 
-def read_recording(files: Files, map_path: str | Path) -> RawRecording:
+def read_recording(files: Files, map_path: str | Path, robot: str | None = None) -> RawRecording:
     """Read a recording with all rows and poses, before `import_log` assembles it. Raises
     likewise.
     """
@@ -90,7 +91,7 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     clock = clock - epoch
     streams = {column: (stamps - epoch, values) for column, (stamps, values) in streams.items()}
     shared = on_clock(clock, streams, str(main))
-    rules = _with_robots_file(rules, main)
+    rules = _with_robots_file(rules, main, robot)
     kept = {name: shared[name] for name in ("t", *rules.columns) if name in shared}
     notes += gap_lines(clock, streams)
     if poses is not None:
@@ -98,19 +99,22 @@ def read_recording(files: Files, map_path: str | Path) -> RawRecording:
     return RawRecording(kept, poses, rules, main, tuple(notes))
 
 
-def _with_robots_file(rules: ImportMap, main: Path) -> ImportMap:
-    """The map with its robot's name, and the metadata of its file, where it names a file.
+def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> ImportMap:
+    """The map with the name of its robot, or of the `given` one, and with the metadata of its file
+    where that is a file.
 
-    Raises SurefootError where it names a robot that cannot be found.
+    Raises SurefootError where the robot cannot be found.
     """
+    if given is not None:
+        rules = replace(rules, robot=given)
     if rules.robot is None:
         return rules
-    for folder in (rules.path.parent, main.parent, Path.cwd()):
+    for folder in (Path.cwd(),) if given else (rules.path.parent, main.parent, Path.cwd()):
         file = folder / rules.robot
         if file.suffix in SUFFIXES and is_file(file):
             model = rules.model | model_metadata(file.stem, file.resolve())
             return replace(rules, robot=file.stem, model=model)
-    with errors_in(f"{rules.path}: [robot] name"):
+    with errors_in("--robot" if given else f"{rules.path}: [robot] name (or give --robot)"):
         machine_file(rules.robot)
     return rules
 

@@ -1,6 +1,7 @@
 """One recording in many forms gives one log: files, clocks, layouts and conventions."""
 
 import json
+import shutil
 import tracemalloc
 from pathlib import Path
 
@@ -28,6 +29,7 @@ from surefoot.sim.importing.sections import Source
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.robot.catalog import robot_file, robot_of_log
 
 MEASURED = measured_folder()
 ROWS = 60
@@ -283,6 +285,20 @@ def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path)
         np.testing.assert_allclose(Robot.for_log(log).foot_radius, radius)
         said = "\n".join(import_lines(log))
         assert ("of the robot's file; the map has no [robot] foot_radius" in said) == (not given)
+
+
+def test_a_given_robot_takes_the_place_of_the_maps(tmp_path):
+    joints = Robot.load("spot_class").limbs.joints
+    columns = {"t": 0.01 * np.arange(5)} | {f"q_{j}": np.zeros(5) for j in joints}
+    text = "".join(f'{n} = "{n}"\n' for n in columns)
+    rules = written(tmp_path / "map.toml", f'[columns]\n{text}[robot]\nname = "not_installed"\n')
+    run = csv(tmp_path, columns)
+    refused("give --robot.*not_installed", import_log, run, rules)
+    assert import_log(run, rules, "go1_class").meta.robot == "go1_class"
+    copied = shutil.copy(robot_file("v60_class"), tmp_path / "ours.xml")
+    log = import_log(run, rules, str(copied))
+    assert Robot.for_log(log).file == robot_of_log(log) == copied
+    refused("--robot.*not_there", import_log, run, rules, "not_there")
 
 
 @pytest.mark.parametrize("of", ["torque", "kinematics"])
