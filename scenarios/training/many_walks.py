@@ -31,6 +31,7 @@ from surefoot.sim.common.files import cache_folder, check_space, whole_folder
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.effects import Effect
 from surefoot.sim.log import Log
+from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario
 from surefoot.sim.walking.batch import known_robot
@@ -40,6 +41,8 @@ SECONDS = 60.0
 """Approximate duration of a drawn course [s]."""
 ATTEMPTS = 4
 """Draws of a walk before it is left out."""
+SIZE_DRAWS = 20
+"""Draws of the size of a machine's own effect before it is the one found."""
 SIZES = (0.5, 1.5)
 """Factor on the size of each effect, which is that of one robot."""
 SUITE = BUNDLED.with_name("spot.toml")
@@ -68,14 +71,25 @@ class OwnEffects:
     effects: Sequence[Effect] = ()
     spread: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
-    def drawn(self, rng: np.random.Generator) -> Iterator[Effect]:
-        """The effects with sizes from normal distributions about theirs, within their bounds."""
+    def drawn(self, rng: np.random.Generator, robot: Robot) -> Iterator[Effect]:
+        """The effects with sizes from normal distributions about theirs, within their bounds and
+        such that this robot can have them: no foot or link has less than nothing.
+        """
         for one in self.effects:
-            if (one.name, one.target) in self.spread:
-                size = rng.normal(one.value, self.spread[one.name, one.target])
+            if spread := self.spread.get((one.name, one.target)):
                 low, high = one.bounds_on(None, one.target)
-                one = replace(one, value=float(np.clip(size, low, high)))
+                sizes = (rng.normal(one.value, spread) for _ in range(SIZE_DRAWS))
+                drawn = (replace(one, value=float(np.clip(size, low, high))) for size in sizes)
+                one = next((other for other in drawn if _can_have(robot, other)), one)
             yield one
+
+
+def _can_have(robot: Robot, one: Effect) -> bool:
+    try:
+        one.edit_spec(robot_spec(robot), robot)
+    except SurefootError:
+        return False
+    return True
 
 
 def many_walks(
@@ -178,7 +192,7 @@ def drawn_walk(
     drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
     known = {one.name for one in own.effects}
     effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects if one.name not in known]
-    return replace(drawn, effects=[*effects, *own.drawn(rng)])
+    return replace(drawn, effects=[*effects, *own.drawn(rng, robot)])
 
 
 def _resized(one: Effect, factor: float) -> Effect:

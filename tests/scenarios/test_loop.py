@@ -77,6 +77,12 @@ def test_sizes_are_drawn_for_each_walk_from_their_intervals(robot):
     late, wide = effect("contact_delay", "liftoff", 0.01), {("contact_delay", "liftoff"): 0.1}
     delays = [_drawn(robot, k, OwnEffects([late], wide)).effects[-1].value for k in range(20)]
     assert min(delays) == 0.0 < max(delays)
+    # Nor can a foot with a radius below zero: the sizes that are left are of one distribution.
+    smaller = effect("foot_rolling", "all", -0.9 * robot.foot_radius[0])
+    own = OwnEffects([smaller], {("foot_rolling", "all"): 0.5 * robot.foot_radius[0]})
+    radii = [robot.foot_radius[0] + _drawn(robot, k, own).effects[-1].value for k in range(40)]
+    assert 0.0 < min(radii) < 0.2 * robot.foot_radius[0] < max(radii)
+    assert len(set(radii)) == 40
 
 
 def _drawn(robot, number, own):
