@@ -186,16 +186,14 @@ class Calibrate(
             raise SurefootError("give logs, or --walks")
         calibrator(self.method, self.gamma, self.confidence)  # before the work, for a bad level
         paths = () if self.walks else tuple(map(Path, self.sources))
-        recorded, others = (read_logs(each, self.robot) for each in (paths, self.on))
+        given, others = (read_logs(each, self.robot) for each in (paths, self.on))
         if self.report:
             refuse_full(self.report, self.force)
         observer = Observer.load(self.observer)
-        if self.walks:
-            drawn = replace(self, robot=self.robot or observer.robot)
-            recorded = list(many_walks(drawn, self.sources, "calibrate"))
-        warnings = [] if self.walks else not_plausible(recorded, strict=self.strict)
-        logs = as_declared(recorded)
-        unseen = unseen_errors(observer, logs)
+        drawn = replace(self, robot=self.robot or observer.robot)
+        recorded = many_walks(drawn, self.sources, "calibrate") if self.walks else given
+        warnings = not_plausible(given, strict=self.strict)
+        unseen = unseen_errors(observer, as_declared(recorded))
         bounds = bounds_on(observer, unseen, self)
         bounds = replace(bounds, warnings=tuple(chain.from_iterable(warnings)))
         with whole_folder(self.report, self.force) if self.report else nullcontext() as folder:
@@ -210,7 +208,7 @@ class Calibrate(
             f"jointly at gamma {bounds.gamma:g} ({bounds.method}, quantile "
             f"{bounds.level_per_axis:.4f}), from {bounds.n} errors {bounds.K} steps of 10 ms apart"
         )
-        if len(logs) > 1:
+        if len(recorded) > 1:
             shares = left_out_coverage(unseen.relative, self, bounds.K)
             held = dict(zip(unseen.names, shares, strict=True))
             worst = min(held, key=lambda name: held[name])

@@ -3,7 +3,7 @@ believed.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,9 +97,9 @@ def with_effects(log: Log, robot: Robot | None, file: Path | None) -> Log:
     return replace(log, meta=replace(log.meta, effects=declared))
 
 
-def as_declared(logs: Sequence[Log]) -> list[Log]:
+def as_declared(logs: Iterable[Log]) -> Iterator[Log]:
     """The logs with their declared effects compensated, as the filters see them."""
-    return [declared_model(log, Robot.for_log(log))[0] for log in logs]
+    return (declared_model(log, Robot.for_log(log))[0] for log in logs)
 
 
 def learnt_from(observers: Sequence[Path], bounds: Sequence[Path]) -> Learnt:

@@ -1,7 +1,9 @@
 """The report of `surefoot calibrate --report`: bounds, mixing, methods, and coverage by walk."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
+from operator import length_hint
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +43,7 @@ def write_calibration_report(
     out: Path,
     observer: Observer,
     bounds: Bounds,
-    calibration: Sequence[Log],
+    calibration: Iterable[Log],
     logs: Sequence[Log],
     page: Path | None = None,
 ) -> list[Section]:
@@ -53,13 +55,14 @@ def write_calibration_report(
         out: the folder.
         observer: that was calibrated.
         bounds: its bounds.
-        calibration: logs of the bounds, as recorded.
+        calibration: logs of the bounds, as recorded; as many as their `len` says, read one by one.
         logs: walks, as recorded, to evaluate the bounds on; one without a reference only has the
             alarm.
         page: page of results (Markdown) to write as well.
     """
-    count = len(calibration)
-    with drawn_bar([*calibration, *logs], desc="walks", unit=" log") as bar:
+    count = length_hint(calibration)
+    every, total = chain(calibration, logs), count + len(logs)
+    with drawn_bar(every, total=total, desc="walks", unit=" log") as bar:
         walks = [evaluate_walk(observer, bounds, log, k < count) for k, log in enumerate(bar)]
     known, others = walks[:count], walks[count:]
     methods = methods_table(bounds, known, [w for w in others if w.role == "test"])
