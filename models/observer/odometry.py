@@ -25,7 +25,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
 
-STILL = 0.1
+STILL = 0.05
 """Speed of the contact points relative to the ground [m/s] at which the network's correction counts
 half. In walking it is 0.5 and more, as a leg swings; of a robot that stands, the noise is 0.01.
 """
