@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.observer.gru import scan
-from surefoot.models.observer.odometry import leg_velocity
+from surefoot.models.observer.odometry import add_leg_velocity
 from surefoot.sim.common.kernels import kernel
 
 Features = Callable[[np.ndarray], np.ndarray]
@@ -74,14 +74,16 @@ class Head:
         """Raises as `linear` does."""
         self._linear = linear(weights, "head.weight", features, outputs)
         self._gates = linear(weights, "odometry.gates.weight", features, legs) if legs else None
-        sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs} if legs else {}
-        self._units = [of_shape(weights, f"odometry.{name}", n) for name, n in sizes.items()]
+        known = {"odometry.speed": np.zeros(3, np.float32)} | dict(weights)  # missing in 0.1.0
+        sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs, "speed": 3} if legs else {}
+        self._units = [of_shape(known, f"odometry.{name}", n) for name, n in sizes.items()]
 
     def __call__(self, x: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Outputs (T, 3 or 9) of scaled inputs x (T, C) and features (T, F)."""
         outputs = dense(features, *self._linear, 1)
         if self._gates:
-            outputs[:, :3] += leg_velocity(dense(features, *self._gates, 1), *self._units, x)
+            gates = dense(features, *self._gates, 1)
+            add_leg_velocity(outputs, gates, *self._units, x)
         return outputs
 
 

@@ -18,6 +18,7 @@ import torch
 from torch.nn.functional import softplus
 
 from surefoot.models.observer.inference import SMALLEST, Features
+from surefoot.models.observer.odometry import STILL
 from surefoot.models.registry import ARCHITECTURES
 
 
@@ -92,7 +93,8 @@ class Network(torch.nn.Module):
         outputs = self.head(features)
         if self.odometry is None:
             return outputs
-        return torch.cat((outputs[..., :3] + self.odometry(x, features), outputs[..., 3:]), -1)
+        mean, spread = outputs[..., :3], outputs[..., 3:]
+        return torch.cat((self.odometry(x, features, mean), spread), -1)
 
     @property
     def size(self) -> int:
@@ -105,11 +107,13 @@ class Odometry(torch.nn.Module):
     (..., C) ends with the velocities.
 
     Untrained, it is plain odometry: equal weights of all legs, gain 1.
-    `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units.
+    `mean` and `scale` (3 L,) convert a scaled velocity of a contact point to the output's units,
+    `speed` (3,) converts it from these to multiples of STILL.
     """
 
     mean: torch.Tensor
     scale: torch.Tensor
+    speed: torch.Tensor
 
     def __init__(self, features: int, legs: int):
         super().__init__()
@@ -119,6 +123,7 @@ class Odometry(torch.nn.Module):
         self.gain = torch.nn.Parameter(torch.ones(3))
         self.register_buffer("mean", torch.zeros(3 * legs))
         self.register_buffer("scale", torch.ones(3 * legs))
+        self.register_buffer("speed", torch.zeros(3))
 
     def set_units(self, mean: np.ndarray, scale: np.ndarray, output_scale: np.ndarray) -> None:
         """Set the units from the inputs' mean and scale (C,), and the outputs' scale (3,) [m/s]."""
@@ -126,11 +131,17 @@ class Odometry(torch.nn.Module):
         unit = np.tile(output_scale, columns // 3)
         self.mean.copy_(torch.from_numpy(mean[-columns:] / unit))
         self.scale.copy_(torch.from_numpy(scale[-columns:] / unit))
+        self.speed.copy_(torch.from_numpy(output_scale / STILL))
 
-    def forward(self, x: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+    def forward(
+        self, x: torch.Tensor, features: torch.Tensor, correction: torch.Tensor
+    ) -> torch.Tensor:
+        """Velocity (..., 3) by legs and correction (..., 3), in units of the output."""
         u = (self.mean + self.scale * x[..., -len(self.mean) :]).unflatten(-1, (-1, 3))
         w = torch.softmax(self.gates(features), -1)
-        return -self.gain * (w[..., None] * u).sum(-2)
+        by_legs = -self.gain * (w[..., None] * u).sum(-2)
+        square = (self.speed * u).square().sum(-1).mean(-1, keepdim=True)
+        return by_legs + correction * (square / (square + 1.0) if self.speed.any() else 1.0)
 
 
 def torch_features(network: Network, whole: bool) -> Features:

@@ -154,7 +154,9 @@ class Observer:
 
         inputs, outputs = len(self.input_mean), LOSS_OUTPUTS[self.loss]
         network = Network(self.model, inputs, outputs, self.width, self._leg_count)
-        network.load_state_dict({n: torch.from_numpy(w) for n, w in self.weights.items()})
+        never_fades = {"odometry.speed": torch.zeros(3)} if self._leg_count else {}  # as in 0.1.0
+        weights = {name: torch.from_numpy(w) for name, w in self.weights.items()}
+        network.load_state_dict(never_fades | weights)
         return network.eval()
 
     def running(self, whole: bool = False) -> Running:

@@ -4,10 +4,12 @@ A contact point at rest on the ground gives v_I = -(u + omega x s), with s its p
 velocity relative to the base, and omega the gyro's. With `feet` among its inputs, the network
 receives s and u + omega x s of all legs and computes
 
-    v = -gain * sum_l w_l (u_l + omega x s_l) + head(features),    w = softmax(gates(features)).
+    v = -gain * sum_l w_l (u_l + omega x s_l) + m head(features),    w = softmax(gates(features)),
+    m = r^2 / (r^2 + STILL^2),    r^2 = mean_l |u_l + omega x s_l|^2.
 
 It learns which legs stand, as well as slip, and the robot's deviation from its declared geometry.
 Speeds beyond those of the training walks are extrapolated by the kinematics, not by the network.
+A robot whose legs and body are still, in whatever posture, is taken to be at rest.
 
 Velocities of an IMU mounted at another place of the same body are converted by `move_velocity`.
 """
@@ -22,6 +24,11 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import Legs, leg_forward
+
+STILL = 0.05
+"""Speed of the contact points relative to the ground [m/s] at which the network's correction counts
+half. In walking it is 0.5 and more, as a leg swings; of a robot that stands, the noise is 0.01.
+"""
 
 
 class Mounted(Protocol):
@@ -192,26 +199,37 @@ def _contact_points(known, q, dq, omega):
 
 
 @kernel(nogil=True)
-def leg_velocity(w, gain, mean, scale, x):
-    """Velocities (T, 3) by the legs, weighted by a softmax over them, in units of the output.
+def add_leg_velocity(outputs, w, gain, mean, scale, speed, x):
+    """Fade the corrections outputs[:, :3] where nothing moves, and add the velocities by the legs,
+    weighted by a softmax over them.
 
     All arrays are float32 and contiguous.
 
     Args:
+        outputs: of the head (T, 3 or 9), changed.
         w: (T, L), outputs of the gates.
         gain: (3,), factor of each axis.
         mean: (3 L,), of the legs' velocities.
         scale: (3 L,), their standard deviation.
+        speed: (3,), units of the output, in STILL; zeros in a network whose correction never fades.
         x: (T, C), normalised inputs; the last 3 L are the legs' velocities.
     """
     T, legs = w.shape
-    v = np.zeros((T, 3), np.float32)
     first = x.shape[1] - len(mean)
+    fades = speed.any()
+    by_legs = np.empty(3, np.float32)
     for t in range(T):
         share = np.exp(w[t] - w[t].max())
         share /= share.sum()
+        by_legs[:] = np.float32(0.0)
+        square = np.float32(0.0)
         for leg in range(legs):
             for i in range(3):
                 j = 3 * leg + i
-                v[t, i] -= gain[i] * share[leg] * (mean[j] + scale[j] * x[t, first + j])
-    return v
+                u = mean[j] + scale[j] * x[t, first + j]
+                by_legs[i] -= gain[i] * share[leg] * u
+                square += (speed[i] * u) ** 2
+        square /= np.float32(legs)
+        moves = square / (square + np.float32(1.0)) if fades else np.float32(1.0)
+        for i in range(3):
+            outputs[t, i] = moves * outputs[t, i] + by_legs[i]

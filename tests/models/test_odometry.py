@@ -11,7 +11,7 @@ from synthetic import Body, synthetic_walk
 from surefoot.models.observer.data import prepare
 from surefoot.models.observer.network import Network
 from surefoot.models.observer.observer import Observer, ObserverError, observer_inputs
-from surefoot.models.observer.odometry import Kinematics, contact_points, leg_geometry
+from surefoot.models.observer.odometry import STILL, Kinematics, contact_points, leg_geometry
 from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import body_velocity, observer_samples
 from surefoot.models.observer.settings import TrainSettings
@@ -104,6 +104,26 @@ def test_an_untrained_network_is_plain_odometry(drawing):
         :, -12:
     ]
     assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
+
+
+@pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (STILL, 0.5), (3.0 * STILL, 0.9)])
+def test_corrections_fade_as_body_and_legs_come_to_rest_in_any_posture(speed, share):
+    """With velocities of the soles that cancel, the output is the correction's share."""
+    rng = np.random.default_rng(0)
+    network = Network("mlp", 31, 9, 8, legs=4)
+    network.initialise(torch.Generator().manual_seed(0))
+    torch.nn.init.normal_(network.head.weight, generator=torch.Generator().manual_seed(1))
+    assert network.odometry is not None
+    mean, scale, unit = rng.normal(size=31), rng.uniform(0.5, 2.0, 31), np.array([0.5, 0.1, 0.05])
+    network.odometry.set_units(mean, scale, unit)
+    way = rng.normal(size=3)
+    u = np.outer([1.0, -1.0, 1.0, -1.0], speed * way / np.linalg.norm(way)).ravel()
+    postures = np.column_stack([rng.normal(size=(20, 19)), np.tile(u, (20, 1))])
+    x = torch.from_numpy(((postures - mean) / scale).astype(np.float32))[:, None]
+    outputs, features = network(x), network.body(x.clone())
+    head = network.head(features)
+    np.testing.assert_allclose(outputs[..., :3].detach(), share * head[..., :3].detach(), atol=2e-5)
+    np.testing.assert_array_equal(outputs[..., 3:].detach(), head[..., 3:].detach())
 
 
 @pytest.mark.parametrize("model", ["gru", "mlp", "tcn"])
