@@ -116,7 +116,7 @@ study-realism: setup
 		--walker $$robot --force -o $(OUT)/$$robot --page docs/results/realism_$$robot.md || exit 1; done
 
 # What is found on the Go1's measured walk, put into the simulation: whether the filters gain by it, and
-# what the errors of observers that were trained there are made of.
+# how far observers come that are tuned on it.
 study-loop: OUT = out/loop
 study-loop: MEASURED = $(or $(SUREFOOT_MEASURED),../shared/measured)
 study-loop: setup

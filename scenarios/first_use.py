@@ -4,6 +4,9 @@ On a fresh machine that takes half a minute, and the processes that need the sam
 time would each compile it. With a warm cache it takes a second.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from surefoot.estimator.core.state import NavState
@@ -13,11 +16,28 @@ from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
 from surefoot.models.observer.gru import scan, scan_backward
 from surefoot.models.observer.inference import gru_states
+from surefoot.scenarios.stages import processes, submitted
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.kernels import compile_quietly, is_cached
+
+
+@contextmanager
+def filters_compiled_meanwhile() -> Iterator[None]:
+    """Context in which another process compiles the filters, unless they are in the cache; its end
+    waits for them.
+    """
+    if is_cached(LegFilter.__module__):
+        yield
+        return
+    with processes(2) as pool:
+        assert pool is not None
+        submitted(pool, (compile_filters,))
+        yield
 
 
 def compile_filters() -> None:
     """Run every kind of kernel on a few rows, in the order in which the demo needs them."""
+    compile_quietly()
     x, W, b = (np.zeros(shape, np.float32) for shape in ((2, 4), (4, 12), 12))
     states, saved = scan(np.zeros((2, 1, 12), np.float32), W, b, x[:1])
     scan_backward(states[1:], states, saved, W.reshape(12, 4))

@@ -35,8 +35,10 @@ class Simulate(settings.SimulateSettings):
 
     def run(self) -> None:
         from surefoot.scenarios.datasets.simulate import simulate
+        from surefoot.scenarios.first_use import filters_compiled_meanwhile
 
-        simulate(self)
+        with filters_compiled_meanwhile():  # which most of those who simulate need next
+            simulate(self)
 
 
 @options.command

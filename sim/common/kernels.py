@@ -120,11 +120,20 @@ def compiled(function: Any, signature: Any) -> Any:
     return function
 
 
+def is_cached(module: str) -> bool:
+    """Whether machine code of a module's kernels is in the cache."""
+    return any((_root() / sources_digest(module)[:16]).glob("*.nbi"))
+
+
+def _root() -> Path:
+    return cache_folder() / "kernels"
+
+
 def _folder(function: Callable) -> Path:
     """Folder for the machine code of a function's module."""
     module = sys.modules.get(function.__module__)
     file = getattr(module, "__file__", None) or function.__code__.co_filename
-    root = cache_folder() / "kernels"
+    root = _root()
     folder = root / sources_digest(function.__module__, file)[:16]
     with suppress(OSError):
         _sweep(root, folder)
@@ -154,7 +163,7 @@ class _Compilation(event.Listener):
 
     def __init__(self, clock: Callable[[], float] = time.monotonic):
         self._clock = clock
-        self._said = False
+        self.said = False
         self._depth, self._began, self._usual = 0, 0.0, gc.get_threshold()
 
     def on_start(self, event: event.Event) -> None:
@@ -165,9 +174,9 @@ class _Compilation(event.Listener):
                 gc.set_threshold(*RARE_COLLECTION)
         self._depth += 1
         is_long = self._clock() - self._began > QUIET_TIME
-        if not self._said and (is_long or sys.stderr.isatty()):
+        if not self.said and (is_long or sys.stderr.isatty()):
             print(f"compiling once, up to {COMPILE_TIME:.0f} s", file=sys.stderr, flush=True)
-            self._said = True
+            self.said = True
 
     def on_end(self, event: event.Event) -> None:
         self._depth -= 1
@@ -175,7 +184,13 @@ class _Compilation(event.Listener):
             gc.set_threshold(*self._usual)
 
 
-event.register("numba:compile", _Compilation())
+_compilation = _Compilation()
+event.register("numba:compile", _compilation)
+
+
+def compile_quietly() -> None:
+    """Print no notice in this process, which compiles beside one that does."""
+    _compilation.said = True
 
 
 _C_TYPES = {types.intc: ctypes.c_int, types.uintp: ctypes.c_void_p}
