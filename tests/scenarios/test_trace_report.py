@@ -118,6 +118,12 @@ def test_each_verdict_says_what_to_do_next_in_commands_that_are_commands(verdict
     assert asks == (verdict == "attributed" and not files.holdout)
 
 
+@pytest.mark.parametrize("filters", [FILTERS, {"imu": FILTERS["imu"]}], ids=["legs", "IMU alone"])
+def test_contacts_are_checked_where_the_leg_filter_runs(filters, robot):
+    first, *_ = next_steps(result("none_of_these", filters=filters), FILES, robot)
+    assert ("contacts" in first.words, "--contacts" in first.command) == ("leg" in filters,) * 2
+
+
 def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
     states = {name: state_of(level) for name, level in CHANNELS.items()}
     assert states["leg_velocity"] == "above its floor"
