@@ -350,7 +350,7 @@ def position_pictures(
     return [
         Picture(
             trajectories(log, errors, patches, fields),
-            f"The walk from above: reference and every estimate, aligned at the start.{same}",
+            f"The walk from above: reference and estimates, aligned at the start.{same}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(
