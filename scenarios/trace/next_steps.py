@@ -54,7 +54,7 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         align = Step(
             "Check clock and place of the reference", command("align", files.logs[0], out="aligned")
         )
-        legs = "leg" in found.filters
+        legs = not robot.fixed and any(not name.startswith("imu") for name in found.channels)
         words = f"Check stamps{', signs and contacts' if legs else ' and signs'} of the log"
         check = _line("info", files.logs[0], *(["--contacts"] if legs else []))
         return (
