@@ -270,10 +270,11 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     left_out = [f"{line[0].upper()}{line[1:]}." for line in left_out_lines(comparisons)]
     ran = dict.fromkeys(result.filter for c in comparisons for result in c.results)
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
-    glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in found.columns]
+    marked = with_best_marked(found)
+    glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in marked.columns]
     bold = "\n\n".join(["The best values are in bold.", *left_out])
     return [
-        Section("Filters compared", "\n\n".join(first), with_best_marked(found)),
+        Section("Filters compared", "\n\n".join(first), marked),
         Section("How to read the table", bold, glossary),
     ]
 
@@ -310,9 +311,12 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
         return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
+    drawn = {result.filter for result in shown}
+    large = ", ".join(r.filter for r in comparison.results if r.filter not in drawn)
     hidden = {name: first for first, *others in _identical(shown) for name in others}
     shown = [result for result in shown if result.filter not in hidden]
     same = "".join(f" {name} is the same as {first}." for name, first in hidden.items())
+    same += f" Left out: {large}, whose errors would hide the others'." if large else ""
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
@@ -339,14 +343,14 @@ def position_pictures(
         errors: of the estimates, by name.
         ground: to draw, if it is known.
         kind: of the files.
-        same: sentence on estimates that are left out as the same as another.
+        same: sentences on estimates that are left out.
     """
     patches, fields = (ground.patches, ground.fields) if ground else ((), ())
     files = f"figures/{log.name}"
     return [
         Picture(
             trajectories(log, errors, patches, fields),
-            f"The walk from above: reference and every estimate, aligned at the start.{same}",
+            f"The walk from above: reference and estimates, aligned at the start.{same}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(

@@ -63,6 +63,7 @@ from surefoot.models.attribution.noise_floor import (
     left_deviations,
     noise_floor,
     noise_floor_with,
+    settled_bins,
 )
 from surefoot.models.attribution.unexplained import Unexplained, curved_angles, sparse_regression
 from surefoot.models.attribution.way_lost import way_lost
@@ -398,6 +399,8 @@ def _held_out(
         declared: effects of the model.
     """
     inner = np.concatenate([inner_bins(case.motion.t) for case in cases])
+    of_floor = settled_bins if floor.walks else inner_bins
+    judged = np.concatenate([of_floor(case.motion.t) for case in cases])
     problem = problem_of(cases, inner, several, declared)
     fitted, metric = zeros_beside(problem, floor.error, effects)
     runs = _with_lags(fitted, lags)
@@ -405,7 +408,7 @@ def _held_out(
     sides = residuals_with(problem, effects, metric, floor, inner)
     log = sides.evidence.log
     parts = {f"held-out run {n + 1}": inner & (log == n) for n in range(len(cases))}
-    return runs, Unseen(sides, np.ones(len(log), dtype=bool), parts)
+    return runs, Unseen(sides, judged, parts)
 
 
 def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[FittedRun, ...]:

@@ -71,8 +71,8 @@ STANDS = 0.999
 SPEEDS = (1.0, 0.6, 0.3)
 """Shares of the log's velocities at which a walk is tried until the robot does not fall."""
 SETTLING = 4.0
-"""Beginning of a walk whose residual does not count [s], unless it is short: feet are steadier in
-the first steps after standing.
+"""Beginning of a walk whose residual does not count [s], unless it is short: dry friction holds a
+part of the load of a robot that stands, and feet are steadier in the first steps after it.
 """
 _SEED = 20_011
 """Seed of the first walk, fixed so that the floor depends on the logs alone."""
@@ -500,12 +500,17 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
         known = linearise([case], plan.effects, ())
         # The same minimum noise as for the log, so that channels have the same relative weight.
         weights = robust_weights(known, known.layout.least_noise)
-        t, used = known.t, inner_bins(known.t)
-        left = without_nuisance(known, weights.sigma, weights.weight, used)
-        if t[-1] - t[0] > 2.0 * SETTLING:
-            used &= t > t[0] + SETTLING
-        return FloorWalk(case, plan.effects, left[used], weights)
+        left = without_nuisance(known, weights.sigma, weights.weight, inner_bins(known.t))
+        return FloorWalk(case, plan.effects, left[settled_bins(known.t)], weights)
     return None
+
+
+def settled_bins(t: np.ndarray) -> np.ndarray:
+    """Mask (M,) of the bins of a walk, at times t (M,) [s], whose residual the floor is of: those
+    that are neither at its ends nor in its first steps.
+    """
+    first = SETTLING if t[-1] - t[0] > 2.0 * SETTLING else 0.0
+    return inner_bins(t) & (t > t[0] + first)
 
 
 def ground_of(

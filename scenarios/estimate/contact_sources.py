@@ -168,7 +168,7 @@ def contact_lines(
     if found.better is None:
         said += ("none is clearly better than as logged",)
     if "contact" in changes:
-        said += ("in the import map, [contact] replaces contact_<leg> in [columns]",)
+        said += ("in the import map, [contact] replaces contacts of [columns]",)
     return tuple(f"contacts: {line}" for line in said), changes
 
 

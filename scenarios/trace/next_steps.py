@@ -54,10 +54,11 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         align = Step(
             "Check clock and place of the reference", command("align", files.logs[0], out="aligned")
         )
-        feet = () if robot.fixed else ("--contacts",)
-        check = _line("info", files.logs[0], *feet)
+        legs = not robot.fixed and any(not name.startswith("imu") for name in found.channels)
+        words = f"Check stamps{', signs and contacts' if legs else ' and signs'} of the log"
+        check = _line("info", files.logs[0], *(["--contacts"] if legs else []))
         return (
-            Step("Check stamps, signs and contacts of the log", check),
+            Step(words, check),
             *([align] if filters else []),
             *use,
             Step("Write what remains as an effect of your own, see the guide 'Your own effect'"),

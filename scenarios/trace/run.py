@@ -28,7 +28,6 @@ from surefoot.sim.common.files import protect, refuse_overwrite, whole_folder
 from surefoot.sim.common.limits import bounded_json
 from surefoot.sim.effects import Effect
 from surefoot.sim.effects.file import load_effects
-from surefoot.sim.importing.advice import advice_words
 from surefoot.sim.log import Log
 from surefoot.sim.robot.catalog import of_robot
 from surefoot.sim.robot.machine import Machine, machine_for_log
@@ -76,7 +75,8 @@ def trace_files(settings: TraceSettings) -> Trace:
         with percent_bar("contacts") as progress:
             named = of_robot(log, settings.robot)
             said, changes = contact_lines(named, progress, only_better=True)
-        contacts.append((f"{'; '.join(said)}: {advice_words(changes)}",) if said else ())
+        lines = "`surefoot info LOG --contacts` prints the lines"
+        contacts.append(("; ".join((*said, lines) if changes else said),) if said else ())
     options = TraceOptions(
         seed=settings.seed,
         declared=declared,

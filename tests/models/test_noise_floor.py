@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from surefoot.models.attribution.diagnose import diagnose
+from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor
 from surefoot.models.attribution.unexplained import regressor_library, sparse_regression
@@ -39,13 +39,12 @@ def test_what_bumps_seem_to_be_is_known_from_the_walks_though_some_count_as_leve
 
 
 ROBOT = Robot.load("spot_class")
+TURNS = Scenario("turns", (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3)), Ground(0.8))
 
 
 @lru_cache
 def case():
-    segments = (Segment(6.0, 0.6, turn=0.3), Segment(6.0, 0.5, turn=-0.3))
-    log = walk(Scenario("turns", segments, Ground(0.8)), ROBOT, 2)
-    return log_under_model(log, ROBOT)
+    return log_under_model(walk(TURNS, ROBOT, 2), ROBOT)
 
 
 def test_walks_of_the_floor_have_rates_as_noisy_as_the_log():
@@ -55,6 +54,15 @@ def test_walks_of_the_floor_have_rates_as_noisy_as_the_log():
     cases = [log_under_model(one, ROBOT) for one in (log, log.with_columns(columns))]
     noise = [plan.rate_noise for one in cases if (plan := noise_floor([one]).plan)]
     assert noise == pytest.approx([0.01, np.hypot(0.01, 0.04)], rel=0.1)
+
+
+def test_held_out_logs_are_judged_where_the_floor_is_known():
+    """Dry friction holds a part of the load of a robot that stands, which looks like a wrench."""
+    options = DiagnosisOptions(holdout=(walk(TURNS, ROBOT, 3),))
+    held_out = diagnose([case().log], ROBOT, options).held_out
+    assert held_out is not None
+    wrench = held_out.channels["base_wrench"]
+    assert wrench.after == pytest.approx(wrench.noise_floor, rel=0.2)
 
 
 def formed(signal=None, column=1):

@@ -37,6 +37,7 @@ def test_outputs_are_whole_and_never_overwritten(compared, tmp_path):
     for name in ("table.md", "table.csv", "report.html", "walk2.rrd"):
         assert (tmp_path / name).stat().st_size > 100
     assert len(list((tmp_path / "figures").glob("*.png"))) == 5
+    assert "Left out: imu, whose errors" in (tmp_path / "report.html").read_text()
     refused("force=True", write_comparison, [compared], tmp_path, "title")
 
 

@@ -118,6 +118,13 @@ def test_each_verdict_says_what_to_do_next_in_commands_that_are_commands(verdict
     assert asks == (verdict == "attributed" and not files.holdout)
 
 
+@pytest.mark.parametrize("channels", [["imu_gyro"], ["imu_gyro", "leg_velocity"]])
+def test_contacts_are_checked_where_the_log_has_legs(channels, robot):
+    found = result("none_of_these", channels={name: CHANNELS[name] for name in channels})
+    first, *_ = next_steps(found, FILES, robot)
+    assert ("contacts" in first.words, "--contacts" in first.command) == (len(channels) > 1,) * 2
+
+
 def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
     states = {name: state_of(level) for name, level in CHANNELS.items()}
     assert states["leg_velocity"] == "above its floor"
