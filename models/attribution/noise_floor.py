@@ -64,6 +64,10 @@ ground: 0.52 to 0.71 on walks of the models of five robots.
 """
 _SECONDS = 12.0
 """Length of each walk [s]."""
+SMALLER, OF_SMALLER = 0.8, 70.0 * 0.438
+"""Share of the fourth differences of readings, the smaller ones, by which noise is judged, and the
+mean square of these for normal noise of size one.
+"""
 STAND = 0.5
 """Time that the robot stands before each walk [s]."""
 STANDS = 0.999
@@ -156,7 +160,7 @@ class FloorPlan:
         evenness: standard deviation of the ground's height from a plane [m].
         slippery: friction of places in which feet slide; None where there are none.
         gait: of the walks.
-        rate_noise: noise of joint rates [rad/s].
+        sensors: their noise.
         sampling: sampling and noise of the reference, if measured.
         ground: effects of the ground, which no model can compensate.
         effects: that the robot has, compensated by its model.
@@ -170,7 +174,7 @@ class FloorPlan:
     evenness: float
     slippery: float | None
     gait: GaitOptions
-    rate_noise: float
+    sensors: Sensors
     sampling: ReferenceSampling | None
     ground: tuple[Effect, ...]
     effects: tuple[Effect, ...]
@@ -245,7 +249,7 @@ def noise_floor(
 
     Each of a few short walks follows a section of the reference's body velocities, on ground as
     uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
-    about as rough as the logs', and joint rates are as noisy. Seeds are fixed, so the floor is a
+    about as rough as the logs'. Joints are as noisy. Seeds are fixed, so the floor is a
     function of the logs. A section on which the robot falls is repeated at lower speed. For a robot
     that cannot walk at all the floor is the sensors' noise by their data sheets, for a machine on a
     fixed base the noise of its readings, and for one that is known by its feet alone that noise and
@@ -267,7 +271,7 @@ def noise_floor(
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
         gait=PLAIN_GAIT,
-        rate_noise=Sensors.velocity_noise,
+        sensors=Sensors(),
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
@@ -281,8 +285,8 @@ def noise_floor(
         rougher = _roughness(cases) > ROUGHER * _roughness([one.case for one in walks])
         if rougher and (in_measured_gait := _floor_walks(rough)):
             plan, walks = rough, in_measured_gait
-    if walks and "dq" in plan.groups:
-        plan = replace(plan, rate_noise=_rate_noise(cases, walks))
+    if walks:
+        plan = replace(plan, sensors=_sensors_of(cases, walks))
         walks = _floor_walks(plan)
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
@@ -424,25 +428,33 @@ def _roughness(cases: Sequence[LogUnderModel]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(bends) ** 2)))
 
 
-def _rate_noise(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> float:
-    """Noise of joint rates [rad/s] by which walks would have that of the logs, to a tenth of the
-    data sheet's.
+def _sensors_of(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> Sensors:
+    """Sensors by which the joints' readings in walks are as noisy as those in the logs. What is
+    added is a whole multiple of the data sheet's noise or, of angles, of the encoder's steps.
 
-    From the median second difference, on which impacts have little influence, at the lower rate:
-    sqrt(6) times the noise, of which the median magnitude is 0.6745. Motion adds as much to both.
+    Noise is judged by the smaller fourth differences, on which impacts and motion have little
+    influence, of rows as far apart in walks as in logs.
     """
     logs = [case.log for case in cases], [one.case.log for one in walks]
     slowest = min(log.rate for log in (*logs[0], *logs[1]))
+    finer = logs[1][0].rate / min(log.rate for log in logs[0])
 
-    def density(log: Log) -> float:
-        bends = np.diff(log.dq[:: round(log.rate / slowest)], n=2, axis=0)
-        square = np.mean(np.median(np.abs(bends), axis=0) ** 2) / (6.0 * 0.6745**2)
-        return float(square / log.rate)
+    def square(log: Log, group: str) -> float:
+        bends = np.diff(getattr(log, group)[:: round(log.rate / slowest)], n=4, axis=0)
+        smaller = np.sort(np.abs(bends), axis=0)[: round(SMALLER * len(bends))]
+        return float(np.mean(smaller**2)) / OF_SMALLER
 
-    measured, simulated = (np.mean([density(log) for log in one]) for one in logs)
-    least = Sensors.velocity_noise
-    more = max(measured - simulated, 0.0) * walks[0].case.log.rate
-    return round(float(np.sqrt(1.0 + more / least**2)), 1) * least
+    usual, found = Sensors(), {}
+    for group, name, unit in (
+        ("q", "encoder_noise", usual.encoder_step),
+        ("dq", "velocity_noise", usual.velocity_noise),
+        ("tau", "torque_noise", usual.torque_noise),
+    ):
+        if all(log.has(group) for one in logs for log in one):
+            measured, simulated = (np.mean([square(log, group) for log in one]) for one in logs)
+            more = unit * round(float(np.sqrt(max(measured - simulated, 0.0) * finer)) / unit)
+            found[name] = float(np.hypot(getattr(usual, name), more))
+    return replace(usual, **found)
 
 
 def _courses(cases: Sequence[LogUnderModel]) -> list[Twists]:
@@ -481,8 +493,8 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
             segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
         )
         stand = STAND if course else _SECONDS
-        sensors = Sensors(velocity_noise=plan.rate_noise)
-        scenario = Scenario("floor", segments, ground, sensors=sensors, stand=stand, gait=plan.gait)
+        how = {"sensors": plan.sensors, "stand": stand, "gait": plan.gait}
+        scenario = Scenario("floor", segments, ground, **how)
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot

@@ -56,6 +56,7 @@ class Sensors:
     contact_threshold: float = 0.08  # of the robot's weight, on one foot
     imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it averages a sample
     rate: float = 0.0  # Hz, rows a second of the log; 0: a row a timestep
+    encoder_noise: float = 0.0  # rad, standard deviation in each row, beyond the rounding to steps
     encoder_offset: float = 0.0  # rad, standard deviation, drawn once a joint
     contact_delay: float = 0.0  # s, until a change of contact is reported
     contact_missed: float = 0.0  # share of samples of a foot in contact that report none
@@ -219,6 +220,8 @@ class SensorErrors:
             (deferred_normals(rng, n * columns), size) for columns, size in noises
         )
         self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
+        drawn = n * joints if s.encoder_noise else 0
+        self._q = deferred_normals(rng, drawn), s.encoder_noise
 
     def apply(self, streams: Streams) -> Streams:
         """Add the errors to the next piece of perfect readings."""
@@ -227,6 +230,8 @@ class SensorErrors:
             return reading + of[0].normal(0.0, of[1], reading.shape)
 
         q = streams.q + self._offset
+        if self._q[1]:
+            q = noisy(q, self._q)
         if self._step:
             q = np.round(q / self._step) * self._step
         return replace(

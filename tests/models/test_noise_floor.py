@@ -13,6 +13,7 @@ from surefoot.models.attribution.weights import RobustWeights
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
+from surefoot.sim.sensors.streams import Sensors
 from surefoot.sim.walk import walk
 
 GO1 = Robot.load("go1")
@@ -47,13 +48,23 @@ def case():
     return log_under_model(walk(TURNS, ROBOT, 2), ROBOT)
 
 
-def test_walks_of_the_floor_have_rates_as_noisy_as_the_log():
-    log, rng = case().log, np.random.default_rng(1)
-    noisy = log.dq + 0.04 * rng.normal(size=log.dq.shape)
-    columns = {f"dq_{j}": noisy[:, i] for i, j in enumerate(log.joints)}
+@pytest.mark.parametrize("rate", [500, 250])
+def test_walks_of_the_floor_have_joints_as_noisy_as_the_log(rate):
+    log, rng, added = case().log, np.random.default_rng(1), {"q": 1e-3, "dq": 0.04, "tau": 0.5}
+    log = log.rows(slice(None, None, round(log.rate) // rate))
+    columns = {
+        f"{group}_{joint}": log.columns[f"{group}_{joint}"] + rng.normal(0.0, size, len(log.t))
+        for group, size in added.items()
+        for joint in log.joints
+    }
     cases = [log_under_model(one, ROBOT) for one in (log, log.with_columns(columns))]
-    noise = [plan.rate_noise for one in cases if (plan := noise_floor([one]).plan)]
-    assert noise == pytest.approx([0.01, np.hypot(0.01, 0.04)], rel=0.1)
+    quiet, noisy = (plan.sensors for one in cases if (plan := noise_floor([one]).plan))
+    assert quiet == Sensors()
+    # As much over a second: walks of the floor have 500 rows in it.
+    finer = np.sqrt(500 / rate)
+    assert noisy.encoder_noise == pytest.approx(1e-3 * finer, rel=0.2)
+    assert noisy.velocity_noise == pytest.approx(np.hypot(0.01, 0.04 * finer), rel=0.15)
+    assert noisy.torque_noise == pytest.approx(np.hypot(0.1, 0.5 * finer), rel=0.15)
 
 
 def test_held_out_logs_are_judged_where_the_floor_is_known():
