@@ -86,7 +86,7 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
 
     The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
-    if case.by_feet:
+    if not case.fixed:
         return _walk_with_more_noise(case, rng)
     log, noisy = case.log, {}
     count, first = case.motion.count, case.motion.first
@@ -105,7 +105,7 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
 
 
 def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
-    """The same for a walk of a machine that is known by its feet alone.
+    """The same for a walk: for its IMU, its feet where the log gives them, and its reference.
 
     Impacts of the feet shake a body more than an IMU's noise does, so that is taken from data
     sheets. The noise of the feet is that in stance, and that of a measured reference its own.
@@ -117,7 +117,7 @@ def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogU
                 noise = rng.normal(0.0, density * np.sqrt(log.rate), len(log.t))
                 noisy[f"{kind}_{axis}"] = log.columns[f"{kind}_{axis}"] + noise
     for leg, stands in zip(log.legs, case.motion.standing.T, strict=True):
-        for axis in AXES:
+        for axis in AXES if case.by_feet else ():
             feet = log.columns[f"foot_{leg}_{axis}"]
             bends = np.diff(feet, n=2)[stands[1:-1]]
             level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
