@@ -150,6 +150,12 @@ def test_a_tenth_of_a_row_of_delay_keeps_the_noise_of_a_references_attitude(walk
     assert after == pytest.approx(before, rel=0.03)
 
 
+def test_whatever_stream_a_delay_shifts_may_be_noisy():
+    """Else a search takes what interpolation smooths of the noise for a delay of that stream."""
+    names = ("joint_delay", "imu_delay", "torque_delay", "rate_delay", "reference_delay")
+    assert {CATALOGUE[name].shift_in(20.0) for name in names} == {1.0}
+
+
 @pytest.mark.parametrize("drift", [-0.004, 3e-5, 0.006])
 def test_a_search_for_a_clock_begins_where_the_lag_drifts(robot, drift):
     """A clock that is out by 4 parts in a thousand is 36 ms late after 9 s, and 28 ms are far from
