@@ -251,9 +251,9 @@ def noise_floor(
     uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
     about as rough as the logs'. Joints are as noisy. Seeds are fixed, so the floor is a
     function of the logs. A section on which the robot falls is repeated at lower speed. For a robot
-    that cannot walk at all the floor is the sensors' noise by their data sheets, for a machine on a
-    fixed base the noise of its readings, and for one that is known by its feet alone that noise and
-    POINT_FEET_LEVELS.
+    that cannot walk at all the floor is the sensors' noise by their data sheets and that of the
+    reference, for a machine on a fixed base the noise of its readings, and for one that is known by
+    its feet alone that noise and POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.
@@ -291,8 +291,8 @@ def noise_floor(
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
         return _floor_of_walks(walks, error, plan)
-    sigma = layout.noise(first.log.rate, plan.evenness)
-    source = "data sheets of the declared sensors"
+    sigma = np.maximum(layout.noise(first.log.rate, plan.evenness), reading_noise(cases))
+    source = "data sheets of the declared sensors, and the noise of the reference"
     return NoiseFloor(sigma, (), source, _no_error(sigma, layout))
 
 

@@ -86,7 +86,7 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
 
     The quantisation error may persist for a whole bin in which the signal hardly changes.
     """
-    if case.by_feet:
+    if not case.fixed:
         return _walk_with_more_noise(case, rng)
     log, noisy = case.log, {}
     count, first = case.motion.count, case.motion.first
@@ -105,7 +105,7 @@ def _with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderM
 
 
 def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogUnderModel:
-    """The same for a walk of a machine that is known by its feet alone.
+    """The same for a walk: for its IMU, its feet where the log gives them, and its reference.
 
     Impacts of the feet shake a body more than an IMU's noise does, so that is taken from data
     sheets. The noise of the feet is that in stance, and that of a measured reference its own.
@@ -117,7 +117,7 @@ def _walk_with_more_noise(case: LogUnderModel, rng: np.random.Generator) -> LogU
                 noise = rng.normal(0.0, density * np.sqrt(log.rate), len(log.t))
                 noisy[f"{kind}_{axis}"] = log.columns[f"{kind}_{axis}"] + noise
     for leg, stands in zip(log.legs, case.motion.standing.T, strict=True):
-        for axis in AXES:
+        for axis in AXES if case.by_feet else ():
             feet = log.columns[f"foot_{leg}_{axis}"]
             bends = np.diff(feet, n=2)[stands[1:-1]]
             level = np.sqrt(np.mean(bends**2) / 6.0) if len(bends) else 0.0
@@ -134,7 +134,9 @@ class ReferenceSampling:
     """Sampling and noise of a reference.
 
     Attributes:
-        intervals: times between samples (K,) [s], empty where there is one in every row.
+        intervals: times from the first row to the first sample, and between samples (K,) [s], empty
+            where there is one in every row. What of their noise is in a bin depends on where in it
+            they lie.
         position: standard deviation of a sample's position [m].
         angle: standard deviation of a sample's attitude [rad].
         stamp: standard deviation of a sample's time stamp [s].
@@ -163,7 +165,7 @@ def _sampling(log: Log) -> ReferenceSampling | None:
     every_row = len(poses.t) > COARSE_SHARE * len(log.t)
     if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
-    intervals = () if every_row else tuple(np.round(np.diff(poses.t), 6))
+    intervals = () if every_row else tuple(np.round(np.diff(poses.t, prepend=log.t[0]), 6))
     noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
     if noise is None:
         return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
@@ -176,7 +178,7 @@ def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Gen
     if sampling.intervals:
         repeats = int(np.ceil((t[-1] - t[0]) / sum(sampling.intervals)))
         then = t[0] + np.cumsum(np.tile(sampling.intervals, repeats))
-        then = np.concatenate([t[:1], then[then < t[-1]], t[-1:]])
+        then = np.concatenate([t[:1], then[(then > t[0]) & (then < t[-1])], t[-1:]])
     seen = np.clip(then + rng.normal(0.0, sampling.stamp, len(then)), t[0], t[-1])
     p_GI = _at(seen, t, log.ref_p)
     p_GI += rng.normal(0.0, sampling.position, p_GI.shape)

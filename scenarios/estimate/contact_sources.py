@@ -27,7 +27,7 @@ from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, 
 from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.stances import stances
+from surefoot.sim.sensors.stances import stances_between_swings
 
 T = TypeVar("T")
 
@@ -300,7 +300,7 @@ def moving_in_contact(t: np.ndarray, speed: np.ndarray, contact: np.ndarray) -> 
     """
     begins, ends = [], []
     for stands, flagged in zip((speed < _STANDS).T, contact.T, strict=True):
-        for first, last in zip(*stances(flagged), strict=True):
+        for first, last in zip(*stances_between_swings(t, flagged), strict=True):
             still = first + np.flatnonzero(stands[first:last])
             if len(still):
                 begins.append(t[still[0]] - t[first])

@@ -69,10 +69,21 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         drifts = Step(
             "See which filter drifts all the same", command("compare", *seen, out="compared")
         )
-        smaller = Step("To find smaller effects, record more", plan)
+        smaller = Step(f"Record more to find {_unseen(found)}", plan)
         return (*([drifts] if filters else []), smaller, again)
     new = command("trace", "NEW.parquet", *declared, out="next")
     return (Step("Compare the next run with them in the same way", new),)
+
+
+def _unseen(found: Trace) -> str:
+    """The suspected effects below the sizes from which they would have been named on any part."""
+    least: dict[str, tuple[float, str]] = {}
+    for one in found.rounds[0] if found.rounds else ():
+        name, target = one.key
+        if name in _SUSPECTED and one.least > least.get(name, (0.0, ""))[0]:
+            least[name] = one.least, found.unit_of(name, target)
+    sizes = [f"{name} below {size:.2g} {unit}" for name, (size, unit) in least.items()]
+    return ", ".join(sizes) or "smaller effects"
 
 
 def _line(name: str, *arguments: str | Path) -> str:

@@ -33,3 +33,9 @@ def slerp(t: np.ndarray, q: np.ndarray, then: np.ndarray) -> np.ndarray:
     """
     turned = Slerp(t, Rotation.from_quat(q, scalar_first=True))(then)
     return turned.as_quat(canonical=True, scalar_first=True)
+
+
+def continuous(q: np.ndarray) -> np.ndarray:
+    """Quaternions (N, 4) of the same attitudes, without changes of sign from one to the next."""
+    flips = np.cumprod(np.append(1.0, np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)))
+    return q * flips[:, None]

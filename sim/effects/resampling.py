@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from surefoot.sim.common.quaternion import slerp
+from surefoot.sim.common.quaternion import continuous
 from surefoot.sim.common.series import convolve
 from surefoot.sim.log import Log
 from surefoot.sim.sensors.streams import Reference, Streams
@@ -64,7 +64,7 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     """The log with the columns of these kinds resampled at the times `then` (N,) [s].
 
     A spline keeps the noise at any fraction of a sample, while linear interpolation would smooth it
-    halfway between two. Flags and attitudes are not interpolated by splines.
+    halfway between two. Flags are those of the nearest row.
     """
     t = log.t
     then = np.clip(then, t[0], t[-1])
@@ -79,7 +79,8 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
         columns |= {name: values[:, i] for i, name in enumerate(of_kind)}
     columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
-        values = slerp(t, log.ref_q, then)
+        values = CubicSpline(t, continuous(log.ref_q))(then)
+        values /= np.linalg.norm(values, axis=1, keepdims=True)
         columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
     return log.with_columns(columns)
 

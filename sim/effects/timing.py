@@ -58,7 +58,7 @@ class Delay(Effect):
 
     @classmethod
     def shift_in(cls, span: float) -> float:
-        return 0.0 if cls.delayed == ("ref",) else 1.0
+        return 1.0
 
     @classmethod
     def starts_on(cls, target: str, log: Log) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.files import is_file
+from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.assemble import RawRecording
 from surefoot.sim.importing.clock import (
     Columns,
@@ -29,6 +30,7 @@ from surefoot.sim.importing.reference import poses_of, reference_offset
 from surefoot.sim.importing.sections import Source
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses
+from surefoot.sim.robot import Robot
 from surefoot.sim.robot.catalog import SUFFIXES, machine_file, model_metadata
 
 _MAY_LACK = ("dq", "tau", "q_des", "dq_des", "tau_ff", "x")
@@ -112,11 +114,35 @@ def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> Import
     for folder in (Path.cwd(),) if given else (rules.path.parent, main.parent, Path.cwd()):
         file = folder / rules.robot
         if file.suffix in SUFFIXES and is_file(file):
+            rules = _with_imu_of(file, rules)
             model = rules.model | model_metadata(file.stem, file.resolve())
             return replace(rules, robot=file.stem, model=model)
     with errors_in("--robot" if given else f"{rules.path}: [robot] name (or give --robot)"):
-        machine_file(rules.robot)
-    return rules
+        return _with_imu_of(machine_file(rules.robot), rules)
+
+
+def _with_imu_of(file: Path, rules: ImportMap) -> ImportMap:
+    """The map with what it lacks of the IMU's place from the robot's file, where its reference is
+    of the base.
+    """
+    table, reference = rules.sections.robot, rules.sections.reference
+    if table is None or reference is None or reference.frame != "base":
+        return rules
+    if table.imu_position and table.imu_orientation:
+        return rules
+    try:
+        robot = Robot.load(file, table.feet)
+    except SurefootError:  # said by the commands that need its legs
+        return rules
+    if robot.imu is None:
+        return rules
+    table = replace(
+        table,
+        imu_position=table.imu_position or tuple(robot.p_BI.tolist()),
+        imu_orientation=table.imu_orientation or tuple(quaternion_from_matrix(robot.R_BI).tolist()),
+    )
+    sections = replace(rules.sections, robot=table)
+    return replace(rules, sections=sections, model=rules.model | table.model())
 
 
 def _main_file(path: Path, rules: ImportMap) -> Path:

@@ -96,7 +96,8 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
     if reference.frame == "base":
         if "p_BI" not in rules.model:
             raise SurefootError(
-                f'{rules.path}: [reference] frame "base" needs [robot] imu_position'
+                f'{rules.path}: [reference] frame "base" needs [robot] imu_position, or an IMU in '
+                "the robot's file"
             )
         R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
         p_BI = np.array(rules.model["p_BI"])

@@ -52,8 +52,6 @@ LONGEST_JUMP = 0.5
 """Longest time after which a tracker that has jumped is back [s]."""
 _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps up to which chance and gait explain them."""
-_SHOWN_DOUBTFUL = 5e-4
-"""Share below which doubtful stamps are not reported, as it would print as 0.0 %."""
 _JUMP_RATIO = 8.0
 """Ratio of a jump to the usual change of speed; noise of a reference stays below it."""
 
@@ -122,15 +120,12 @@ class ReferenceCheck:
     @property
     def lines(self) -> tuple[str, ...]:
         """Description in words, followed by the faults."""
-        return (self.samples, *self._faults(_SHOWN_DOUBTFUL))
+        return (self.samples, *self.faults)
 
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults only, in words."""
-        return self._faults(_FEW_DOUBTFUL)
-
-    def _faults(self, least: float) -> tuple[str, ...]:
-        if self.doubtful < least:
+        if self.doubtful < _FEW_DOUBTFUL:
             return self.others
         return (
             f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "

@@ -36,16 +36,21 @@ class World:
     gears: Gears  # of its joints
 
 
-def robot_spec(robot: Robot) -> mujoco.MjSpec:
-    """The robot with a torque motor on each joint and a touch sensor on each foot, replacing the
-    file's.
-    """
+def refuse_other_legs(robot: Robot) -> None:
+    """Raise SurefootError for a robot that is no quadruped of three hinges a leg."""
     if robot.limbs != QUADRUPED:
         raise SurefootError(
             f"robot {robot.name}: only quadrupeds of three hinges a leg walk in simulation, this "
             f"one has legs of {', '.join(str(len(chain)) for chain in robot.limbs.chains)} hinges "
             f"and {len(robot.limbs.joints)} joints in all"
         )
+
+
+def robot_spec(robot: Robot) -> mujoco.MjSpec:
+    """The robot with a torque motor on each joint and a touch sensor on each foot, replacing the
+    file's.
+    """
+    refuse_other_legs(robot)
     for joint, limit in zip(robot.joint_names, robot.torque_limit, strict=True):
         if not np.isfinite(limit):
             raise SurefootError(

@@ -8,6 +8,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY_G
+from surefoot.sim.common.quaternion import continuous
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.comparison import AxesMatch, lag_of, match_axes
 from surefoot.sim.plausibility.limits import FEWEST, MIDDLE, RESTS
@@ -179,10 +180,7 @@ class LogView:
         """Attitudes of the reference `after` seconds from the times `at` (M,), or from those in the
         mask `where` (M,).
         """
-        q = self.log.ref_q
-        # Choose the signs of neighbouring quaternions alike, so that they can be averaged.
-        flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
-        mean = self.after(q * np.concatenate([[1.0], flips])[:, None], after)
+        mean = self.after(continuous(self.log.ref_q), after)
         return Rotation.from_quat(mean if where is None else mean[where], scalar_first=True)
 
     @cached_property

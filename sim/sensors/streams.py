@@ -9,6 +9,7 @@ import pandas as pd
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.quaternion import continuous
 from surefoot.sim.common.series import GaussMarkov, deferred_normals, low_pass_from
 from surefoot.sim.robot import Robot
 
@@ -378,13 +379,7 @@ def sampled(frame: pd.DataFrame, rate: float, averages: bool) -> pd.DataFrame:
     found = pd.DataFrame(columns)
     q = [f"ref_q_{axis}" for axis in "wxyz"]
     # A quaternion's sign may change from row to row: the row before decides.
-    ref = _continuous(frame[q].to_numpy())
+    ref = continuous(frame[q].to_numpy())
     turned = np.column_stack([np.interp(then, t, x) for x in ref.T])
     found[q] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     return found
-
-
-def _continuous(q: np.ndarray) -> np.ndarray:
-    """Quaternions (N, 4) without changes of sign."""
-    flips = np.cumprod(np.append(1.0, np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)))
-    return q * flips[:, None]

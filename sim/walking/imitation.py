@@ -10,6 +10,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.physics.scene import refuse_other_legs
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
 from surefoot.sim.sensors.stances import stances_between_swings
@@ -40,8 +41,10 @@ def walking_style(log: Log, robot: Robot) -> WalkingStyle:
     """The style of a walk, from the velocities of its reference and, if available, contacts and
     joints.
 
-    Raises SurefootError if the reference covers too little of the walk.
+    Raises SurefootError if the reference covers too little of the walk, or for a robot that cannot
+    walk in simulation.
     """
+    refuse_other_legs(robot)
     twists = body_twists(log)
     if len(twists) < SHORTEST:
         raise SurefootError(f"{log.name}: the reference covers less than {SHORTEST} s of walk")

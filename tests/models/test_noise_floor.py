@@ -4,12 +4,17 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from synthetic import without
 
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose
 from surefoot.models.attribution.evidence import log_under_model
 from surefoot.models.attribution.noise_floor import ground_of, noise_floor
+from surefoot.models.attribution.sensor_noise import reading_noise
 from surefoot.models.attribution.unexplained import regressor_library, sparse_regression
 from surefoot.models.attribution.weights import RobustWeights
+from surefoot.models.residuals.binning import BIN
+from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Scenario, Segment
@@ -74,6 +79,22 @@ def test_held_out_logs_are_judged_where_the_floor_is_known():
     assert held_out is not None
     wrench = held_out.channels["base_wrench"]
     assert wrench.after == pytest.approx(wrench.noise_floor, rel=0.2)
+
+
+def test_readings_of_a_walk_are_as_noisy_as_its_reference():
+    """The floor of legged machines that cannot walk in simulation."""
+    log, rng, angle = case().log, np.random.default_rng(2), 1e-3
+    seen = Rotation.from_matrix(log.ref_R_GI)
+    seen *= Rotation.from_rotvec(rng.normal(0.0, angle, (len(log.t), 3)))
+    q = seen.as_quat(scalar_first=True)
+    p = log.ref_p + rng.normal(0.0, 3e-4, log.ref_p.shape)
+    columns = {f"ref_q_{a}": q[:, i] for i, a in enumerate("wxyz")}
+    columns |= {f"ref_p_{a}": p[:, i] for i, a in enumerate("xyz")}
+    measured = log_under_model(without(log.with_columns(columns), "ref_v"), ROBOT)
+    sigma = reading_noise([measured])
+    gyro = layout_for(ROBOT.limbs).of("imu_gyro")
+    # A bin's mean rate is the rotation between its ends.
+    np.testing.assert_allclose(sigma[gyro], np.sqrt(2.0) * angle / BIN, rtol=0.1)
 
 
 def formed(signal=None, column=1):

@@ -166,6 +166,7 @@ def test_samples_and_their_noise_are_found_again(log):
     seen = np.sum(np.cumsum(intervals) < log.t[-1] - log.t[0])
     assert len(found.intervals) == pytest.approx(seen, rel=0.01)
     assert_allclose(np.median(found.intervals), np.median(intervals), atol=1e-6)
+    assert_allclose(found.intervals[0], intervals[0], atol=1e-4)  # where in a bin they lie
     assert found.stamp == pytest.approx(true.stamp, rel=0.25)
     assert found.angle == pytest.approx(true.angle, rel=0.25)
     assert found.position == pytest.approx(true.position, rel=0.25)

@@ -12,6 +12,7 @@ from studies.measured import measured_folder
 from surefoot import Robot, Scenario, import_log, run_filter, walk
 from surefoot.extend import Ground, Segment, effect
 from surefoot.scenarios.trace.run import trace_logs
+from surefoot.sim.walking.imitation import walking_style
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +109,10 @@ def test_it_lacks_nothing_as_declared(log):
 def test_it_does_not_walk_in_simulation(robot):
     scenario = Scenario("tiny", (Segment(0.5, 0.2),), Ground(0.8))
     refused("only quadrupeds of three hinges a leg walk", walk, scenario, robot, 0)
+
+
+def test_a_walk_of_it_cannot_be_imitated(robot, log):
+    refused("only quadrupeds of three hinges a leg walk", walking_style, log, robot)
 
 
 SHIN = """<body name="{s}_shin" pos="0 {y} 0"><joint name="{s}_hip" axis="0 1 0"

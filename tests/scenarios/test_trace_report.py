@@ -10,6 +10,7 @@ import pytest
 
 from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
+from surefoot.models.attribution.explain import Candidate
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.scenarios.cli.main import _parsed
 from surefoot.scenarios.reporting.tables import as_frame
@@ -123,6 +124,18 @@ def test_contacts_are_checked_where_the_log_has_legs(channels, robot):
     found = result("none_of_these", channels={name: CHANNELS[name] for name in channels})
     first, *_ = next_steps(found, FILES, robot)
     assert ("contacts" in first.words, "--contacts" in first.command) == (len(channels) > 1,) * 2
+
+
+def test_where_nothing_is_found_the_sizes_that_would_have_been_are_said(robot, monkeypatch):
+    """Of an effect's parts, that which is seen worst."""
+    least = {"FL_thigh": 0.12, "FR_thigh": 0.05}
+    seen = [
+        Candidate(("encoder_offset", part), 0.0, 0.0, 0.0, size, at_bound=False, earned=False)
+        for part, size in least.items()
+    ]
+    monkeypatch.setattr(Trace, "rounds", (tuple(seen),))
+    words = [step.words for step in next_steps(result("no_residual"), FILES, robot)]
+    assert "Record more to find encoder_offset below 0.12 rad" in words
 
 
 def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():

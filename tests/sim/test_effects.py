@@ -140,6 +140,22 @@ def test_a_search_for_a_delay_begins_where_gyro_and_reference_turn_alike(walked,
         assert found["imu_delay"][1] == -found["reference_delay"][1]
 
 
+def test_a_tenth_of_a_row_of_delay_keeps_the_noise_of_a_references_attitude(walked, robot):
+    """Else a search for a delay finds the half of a row that leaves the least noise."""
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, (len(walked.t), 3))
+    q = Rotation.from_rotvec(noise).as_quat(scalar_first=True)
+    noisy = walked.with_columns({f"ref_q_{a}": q[:, i] for i, a in enumerate("wxyz")})
+    late, _ = effect("reference_delay", "all", 0.1 / walked.rate).compensate(noisy, robot)
+    before, after = (np.std(np.diff(one.ref_q, axis=0)) for one in (noisy, late))
+    assert after == pytest.approx(before, rel=0.03)
+
+
+def test_whatever_stream_a_delay_shifts_may_be_noisy():
+    """Else a search takes what interpolation smooths of the noise for a delay of that stream."""
+    names = ("joint_delay", "imu_delay", "torque_delay", "rate_delay", "reference_delay")
+    assert {CATALOGUE[name].shift_in(20.0) for name in names} == {1.0}
+
+
 @pytest.mark.parametrize("drift", [-0.004, 3e-5, 0.006])
 def test_a_search_for_a_clock_begins_where_the_lag_drifts(robot, drift):
     """A clock that is out by 4 parts in a thousand is 36 ms late after 9 s, and 28 ms are far from

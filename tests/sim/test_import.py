@@ -355,3 +355,16 @@ def test_a_tracked_body_elsewhere_on_another_clock_is_moved_to_the_imu(folder):
     refused(
         r"offset.* has none for 'robot' \(known: walk\)", import_log, folder, folder / "map.toml"
     )
+
+
+def test_the_imus_place_is_the_robot_files_where_the_map_gives_none(folder):
+    text = robot_file("spot_class").read_text()
+    text = text.replace('name="imu" pos="0.02 0 0.03"', 'name="imu" pos="0.1 0 0" quat="0 0 0 1"')
+    (folder / "mine.xml").write_text(text)
+    given = import_log(folder, folder / "map.toml")
+    edited(folder, "map.toml", "ak80_pendulum", "mine.xml")
+    edited(folder, "map.toml", "imu_position = [0.1, 0.0, 0.0]", "")
+    edited(folder, "map.toml", "imu_orientation = [0.0, 0.0, 0.0, 1.0]", "")
+    found = import_log(folder, folder / "map.toml")
+    np.testing.assert_allclose(found.ref_p, given.ref_p, atol=1e-9)
+    np.testing.assert_allclose(found.ref_R_GI, given.ref_R_GI, atol=1e-9)

@@ -446,10 +446,13 @@ def test_a_hip_beside_an_abduction_is_our_thigh(theirs, ours):
 
 
 def test_a_contacts_thresholds_lie_between_no_load_and_all(tmp_path):
-    """It is told later than it was lost: at half of the way up, and at two fifths down."""
+    """Of what a foot bears when all stand, it is told at half, and lost at two fifths: feet at rest
+    stand, though in a walk with three feet down they bear more."""
     t = 0.01 * np.arange(400)
-    feet = {f"foot_force_{leg}": np.where(np.sin(9.0 * t) > 0.0, 210.0, 10.0) for leg in LEGS}
-    assert drafted(tmp_path, {"t": t} | feet).contact == pytest.approx((110.0, 90.0))
+    down = np.stack([np.mod(t + k / 4, 1.0) < 0.75 for k in range(4)])
+    loads = np.where(t < 1.0, 100.0, 400.0 * down / down.sum(axis=0))
+    feet = {f"foot_force_{leg}": 10.0 + one for leg, one in zip(LEGS, loads, strict=True)}
+    assert drafted(tmp_path, {"t": t} | feet).contact == pytest.approx((60.0, 50.0))
 
 
 def test_contacts_of_six_legs_are_known_by_the_words_of_their_joints(tmp_path):

@@ -139,7 +139,7 @@ DRAFTED = {
         {f"contact_{leg}": (f"contact_{k}",) for k, leg in enumerate(LEGS)}, ""),
     "counted contacts of a group, as gym-quadruped writes them": (
         lambda d: h5(d, **{f"recordings/{name}": x for name, x in GYM.items()}), None,
-        {f"contact_{leg}": (f"recordings/contact_state[{k}]", None, "legs")
+        {f"contact_{leg}": (f"recordings/contact_state[{k}]", None, "feet")
          for k, leg in enumerate(LEGS)}, ""),
     "angles without a name beside those that have one": (
         lambda d: csv(d, {"t": T} | HINGES | {"angle": T}), None,

@@ -68,7 +68,7 @@ def test_frames_that_were_miscounted_are_found():
     t = 0.5 + FRAME * np.cumsum([first, *steps])
     right = check_reference(poses(t))
     assert right.doubtful < 0.005
-    assert ("doubtful" in " ".join(right.lines)) == (right.doubtful >= 5e-4)
+    assert len(right.lines) == 1  # its samples
     even = check_reference(poses(0.5 + FRAME * np.arange(600)))
     assert (even.doubtful, len(even.lines)) == (0.0, 1)  # its samples, and nothing of 0.0 %
     wrong = rng.random(len(steps)) < 0.2
@@ -302,9 +302,8 @@ def test_import_reports_what_is_wrong_with_stamps(tmp_path, capsys):
         main(f"import csv {folder} --map go1_square -o {tmp_path / name}.parquet".split())
         printed = capsys.readouterr()
         said[name] = printed.out
-    doubtful = {k: float(v.split(" % of stamps doubtful")[0].split()[-1]) for k, v in said.items()}
-    assert doubtful["first"] > 12.0
-    assert doubtful["recounted"] < 2.0
+    assert float(said["first"].split(" % of stamps doubtful")[0].split()[-1]) > 12.0
+    assert "doubtful" not in said["recounted"]
     assert "accel_x, accel_y, accel_z: a slower sensor" in printed.err
 
 

@@ -252,7 +252,8 @@ def _fitting_order(
     if len(angles) == len(JOINTS):
         known = {joint: x for joint, x in zip(JOINTS, angles, strict=True) if x is not None}
         legs = _OTHER_SIDE_FIRST if _longer_inside(file, known) else LEGS
-        return [f"{leg}_{hinge}" for leg in legs for hinge in HINGES], _legs_doubt(legs)
+        doubt = f"are its legs {', '.join(legs)}, each hip, thigh, calf?"
+        return [f"{leg}_{hinge}" for leg in legs for hinge in HINGES], doubt
     return [f"joint{k}" for k in range(len(angles))], "which joint is it?"
 
 
@@ -357,6 +358,7 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
     counted = _counted_legs(found, legs)
     found |= {name: replace(found[name], leg=leg) for name, leg in counted.items()}
     entries: dict[str, Entry] = {}
+    in_order = f"are its feet in the order {', '.join(legs)}?"
     for kind in ("contact", "force"):
         of_kind = {
             n: x for n, x in found.items() if x.kind == kind and x.leg and x.axis in ("", "z")
@@ -370,7 +372,7 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
             binary = all(np.isin(file.columns[n], (0.0, 1.0)).all() for n in groups[0][1])
             doubt = "" if binary or kind == "force" else "is not 0 or 1: a force?"
             if name in counted:
-                doubt = _legs_doubt(legs)
+                doubt = in_order
             elif len(groups) > 1 and groups[1][0][0] == one.source:
                 doubt = f"this, or {next(iter(groups[1][1]))}?"
             elif one.axis:
@@ -381,7 +383,7 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
     most = max((float(np.abs(file.columns[n]).max()) for n in feet), default=0.0)
     for name, one in feet.items():
         column = f"foot_{one.leg}_{one.axis}"
-        doubt = _legs_doubt(legs) if name in counted else ""
+        doubt = in_order if name in counted else ""
         entries.setdefault(column, Entry(column, name, "m" if most < 3.0 else "mm", doubt=doubt))
     notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
     notes += _missing_feet(file, found, entries)
@@ -436,7 +438,3 @@ def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, 
             of = dict(zip(numbers, legs, strict=True))
             legs_of |= {name: of[one] for name, one in number.items() if one is not None}
     return legs_of
-
-
-def _legs_doubt(legs: Sequence[str]) -> str:
-    return f"are its legs {', '.join(legs)}, each hip, thigh, calf?"

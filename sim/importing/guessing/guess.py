@@ -287,8 +287,9 @@ def _unused(files: Mapping[str, RecordedFile], used: Set[str]) -> dict[str, list
 
 
 def _threshold(columns: Columns, entries: Sequence[Entry]) -> tuple[float, float] | None:
+    """Half of what a foot bears when all stand, which is the mean of its load; less to end."""
     forces = [columns[e.theirs] for e in entries if e.name.startswith("force_")]
     if not forces or any(e.name.startswith("contact_") for e in entries):
         return None
-    low, high = np.quantile(np.concatenate(forces), (0.1, 0.9))
-    return float(low + 0.5 * (high - low)), float(low + 0.4 * (high - low))
+    unloaded, share = np.quantile(forces, 0.1), np.mean(forces)
+    return float(unloaded + 0.5 * (share - unloaded)), float(unloaded + 0.4 * (share - unloaded))
