@@ -11,6 +11,7 @@ from surefoot.scenarios import reporting, settings
 from surefoot.scenarios.cli import options
 from surefoot.scenarios.cli.named import file_there
 from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.limits import bounded_text
 from surefoot.sim.scenario_catalog import bundled_scenarios, scenario_file
 
 if TYPE_CHECKING:
@@ -101,6 +102,8 @@ class Import(settings.CheckedSettings, settings.ContactsSettings, settings.Outpu
         log = replace(log, meta=replace(log.meta, warnings=warnings))
         log.write(self.out, self.force)
         print(_summary(str(self.out), log))
+        if asked := _questions_in(bounded_text(recording.rules.path)):
+            print(f"{recording.rules.path}: {asked} (# ?) in it still; its guesses were used")
         for line in (*_lines(log, *recording.reference(), notes=recording.notes), *said):
             print(line)
 
@@ -113,11 +116,9 @@ class Import(settings.CheckedSettings, settings.ContactsSettings, settings.Outpu
             print(text, end="")
             return
         write_whole(self.out, text, self.force)
-        # Lines "# ?" mark entries below a question; the first line of the text only explains this.
-        asked = text.partition("\n")[2].count("# ? ")
-        count = "1 question" if asked == 1 else f"{asked or 'no'} questions"
+        asked = _questions_in(text)
         first = "answer first, then " if asked else ""
-        print(f"{self.out}: {count} in it; {first}import with --map")
+        print(f"{self.out}: {asked or 'no questions'} in it; {first}import with --map")
 
 
 @options.command
@@ -189,6 +190,14 @@ class Info(settings.CheckedSettings, settings.ContactsSettings, options.JsonOpti
             for line in lines:
                 print(line)
         warned(findings, self.strict)
+
+
+def _questions_in(map_text: str) -> str:
+    """Number of questions of a drafted map, in words; "" for none. Lines "# ?" are questions, but
+    for the first line, which explains them.
+    """
+    asked = map_text.partition("\n")[2].count("# ? ")
+    return "1 question" if asked == 1 else f"{asked} questions" * bool(asked)
 
 
 def _lines(log: "surefoot.Log", *recorded: Any, notes: tuple[str, ...] = ()) -> tuple[str, ...]:

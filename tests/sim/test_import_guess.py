@@ -270,6 +270,18 @@ def test_names_that_say_nothing_are_asked_about_and_give_no_log(tmp_path):
     assert not out.exists()
 
 
+def test_questions_that_are_still_open_are_counted_at_import(tmp_path, capsys):
+    t = 0.01 * np.arange(200)
+    draft = drafted(tmp_path, {"time": t, "q1": np.sin(t), "q2": np.cos(t)}).text
+    answered = "\n".join(line for line in draft.splitlines() if "# ? " not in line)
+    for text, is_open in ((draft, True), (answered, False)):
+        map_path = written(tmp_path / "map.toml", text)
+        run, out = str(tmp_path / "run.csv"), str(tmp_path / "log.parquet")
+        main(["import", run, "--map", str(map_path), "-o", out, "--force"])
+        said = "map.toml: 1 question (# ?) in it still; its guesses were used\n"
+        assert capsys.readouterr().out.endswith(said) == is_open
+
+
 @pytest.mark.parametrize(("most", "unit"), [(11.8, "rad/s"), (12.4, "deg/s")])
 def test_without_an_accelerometer_a_gyro_s_unit_is_told_by_its_size(most, unit):
     """No walking robot turns by 12 rad/s, which are two turns a second."""
