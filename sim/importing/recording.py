@@ -117,7 +117,7 @@ def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> Import
             rules = _with_imu_of(file, rules)
             model = rules.model | model_metadata(file.stem, file.resolve())
             return replace(rules, robot=file.stem, model=model)
-    with errors_in("--robot" if given else f"{rules.path}: [robot] name (or give --robot)"):
+    with errors_in("--robot" if given else f"{rules.path}: [robot] name"):
         return _with_imu_of(machine_file(rules.robot), rules)
 
 

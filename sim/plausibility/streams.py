@@ -523,8 +523,8 @@ def _median5(x: np.ndarray) -> np.ndarray:
 
 
 def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
-    """Number of rows at exactly 0 that x (N,) leaps to and back from, of runs of at most `most`
-    rows; where x has another sign afterwards, it may have crossed 0.
+    """Number of rows at exactly 0 that x (N,) leaps to and from, of runs of at most `most` rows. At
+    a single row it may have crossed 0 to the other sign.
 
     0 if as many rows are nearly 0, as in coarsely quantised streams that cross it.
     """
@@ -537,7 +537,8 @@ def _drop_outs(x: np.ndarray, most: int | None = None) -> int:
     edges = np.flatnonzero(np.diff(zero)) + 1
     edges = edges[1 if zero[0] else 0 :]
     first, last = edges[: len(edges) // 2 * 2].reshape(-1, 2).T
-    leaps = np.minimum(x[first - 1] * np.sign(x[last]), np.abs(x[last])) > far
+    leaps = np.minimum(np.abs(x[first - 1]), np.abs(x[last])) > far
+    leaps &= (last - first > 1) | (x[first - 1] * x[last] > 0.0)
     if most is not None:
         leaps &= last - first <= most
     dropped = int(np.sum((last - first)[leaps]))

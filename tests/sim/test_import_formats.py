@@ -293,7 +293,7 @@ def test_a_given_robot_takes_the_place_of_the_maps(tmp_path):
     text = "".join(f'{n} = "{n}"\n' for n in columns)
     rules = written(tmp_path / "map.toml", f'[columns]\n{text}[robot]\nname = "not_installed"\n')
     run = csv(tmp_path, columns)
-    refused("give --robot.*not_installed", import_log, run, rules)
+    refused(r"map.toml: \[robot\] name: .*not_installed", import_log, run, rules)
     assert import_log(run, rules, "go1_class").meta.robot == "go1_class"
     copied = shutil.copy(robot_file("v60_class"), tmp_path / "ours.xml")
     log = import_log(run, rules, str(copied))
