@@ -6,6 +6,7 @@ time would each compile it. With a warm cache it takes a second.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import active_children
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from surefoot.sim.common.kernels import compile_quietly, is_cached
 @contextmanager
 def filters_compiled_meanwhile() -> Iterator[None]:
     """Context in which another process compiles the filters, unless they are in the cache; its end
-    waits for them.
+    waits for them, but after an error.
     """
     if is_cached(LegFilter.__module__):
         yield
@@ -32,7 +33,12 @@ def filters_compiled_meanwhile() -> Iterator[None]:
     with processes(2) as pool:
         assert pool is not None
         submitted(pool, (compile_filters,))
-        yield
+        try:
+            yield
+        except Exception:
+            for process in active_children():
+                process.terminate()
+            raise
 
 
 def compile_filters() -> None:

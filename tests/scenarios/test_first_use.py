@@ -1,9 +1,12 @@
 """What a fresh clone compiles, and that kernels compiled ahead are those that filters use."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from processes import printed
+
+from surefoot.scenarios import first_use
 
 COMPILED = """
 import collections
@@ -56,3 +59,14 @@ def test_a_fresh_clone_compiles_each_kernel_once_and_no_formatting_of_messages(t
     assert not twice
     assert not [name for name in first if ".unicode." in name]
     assert not compiled(ESTIMATES, tmp_path)
+
+
+@pytest.mark.parametrize("cached", [True, False])
+def test_filters_are_compiled_meanwhile_only_where_they_are_not_cached(monkeypatch, cached):
+    tasks = []
+    monkeypatch.setattr(first_use, "is_cached", lambda module: cached)
+    monkeypatch.setattr(first_use, "processes", lambda workers: nullcontext("pool"))
+    monkeypatch.setattr(first_use, "submitted", lambda pool, task: tasks.append(task))
+    with pytest.raises(ValueError, match="meanwhile"), first_use.filters_compiled_meanwhile():
+        raise ValueError("meanwhile")
+    assert tasks == ([] if cached else [(first_use.compile_filters,)])
