@@ -6,7 +6,6 @@ time would each compile it. With a warm cache it takes a second.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import active_children
 
 import numpy as np
 
@@ -17,17 +16,17 @@ from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import bounded_velocities, imu_samples
 from surefoot.models.observer.gru import scan, scan_backward
 from surefoot.models.observer.inference import gru_states
-from surefoot.scenarios.stages import processes, submitted
+from surefoot.scenarios.stages import end_processes, processes, submitted
 from surefoot.sim.common.gravity import GRAVITY
-from surefoot.sim.common.kernels import compile_quietly, is_cached
+from surefoot.sim.common.kernels import compile_quietly, lacks_code
 
 
 @contextmanager
 def filters_compiled_meanwhile() -> Iterator[None]:
-    """Context in which another process compiles the filters, unless they are in the cache; its end
-    waits for them, but after an error.
+    """Context in which another process compiles the filters, if the cache lacks them and can keep
+    them; its end waits for them, but after an error.
     """
-    if is_cached(LegFilter.__module__):
+    if not lacks_code(LegFilter.__module__):
         yield
         return
     with processes(2) as pool:
@@ -36,8 +35,7 @@ def filters_compiled_meanwhile() -> Iterator[None]:
         try:
             yield
         except Exception:
-            for process in active_children():
-                process.terminate()
+            end_processes()
             raise
 
 

@@ -48,12 +48,19 @@ def processes(workers: int) -> Iterator[ProcessPoolExecutor | None]:
         pool.shutdown(cancel_futures=True)
         raise
     except BaseException:
-        # Nothing is cancelled here, since the pool's own thread fails on cancelled tasks.
-        for process in multiprocessing.active_children():
-            process.terminate()
+        end_processes()
         raise
     finally:
         pool.shutdown()
+
+
+def end_processes() -> None:
+    """End all processes of pools at once.
+
+    Their tasks are not cancelled, since a pool's own thread fails on cancelled tasks.
+    """
+    for process in multiprocessing.active_children():
+        process.terminate()
 
 
 def submitted(pool: ProcessPoolExecutor, task: tuple) -> Future:

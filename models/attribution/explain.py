@@ -508,6 +508,10 @@ class _State:
             most = np.where(shift > 0.0, 0.5 * row / shift, 0.0)
         return np.minimum(shift * self.metric.entries[at] / BIN * known**2, most)
 
+    def least_excess_of(self, at: np.ndarray) -> np.ndarray:
+        """The least excess (k,) of candidates at these places: half for what every machine has."""
+        return self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
+
     def earned(self, keys: Sequence[Key], sizes: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """By how much the evidence for sizes with these standard deviations exceeds its price (k,);
         negative also where a size does not reach the least excess or is at its bound.
@@ -527,8 +531,9 @@ class _State:
             evidence = np.where(np.isfinite(variance), evidence, -np.inf) - self.problem.price[at]
             evidence -= INEXACT * np.sum(self.metric.shares[at] * self.explained, axis=-1)
             excess = sizes / np.sqrt(variance)
-        least = self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
-        return np.where((excess > least) & inside, evidence, np.minimum(evidence, -1.0))
+        return np.where(
+            (excess > self.least_excess_of(at)) & inside, evidence, np.minimum(evidence, -1.0)
+        )
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
         """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
@@ -764,7 +769,7 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     at = state.problem.at([chosen.keys[place]])
     size -= state.bias(at, chosen.deviations[[place]])[0]
     excess = max(size, 0.0) / np.hypot(chosen.deviations[place], state.problem.unknown[at][0])
-    least = state.least_excess * (0.5 if state.problem.certain[at][0] else 1.0)
+    least = state.least_excess_of(at)[0]
     if excess < least:
         return f"{excess:.1f} of {least:.1f} standard deviations"
     return f"{excess:.1f} standard deviations, too little evidence for the price of one more effect"

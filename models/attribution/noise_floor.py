@@ -493,8 +493,9 @@ def _floor_walk(plan: FloorPlan, course: Twists, number: int) -> FloorWalk | Non
             segments, plan.evenness, FRICTIONS[number], plan.slippery if last else None
         )
         stand = STAND if course else _SECONDS
-        how = {"sensors": plan.sensors, "stand": stand, "gait": plan.gait}
-        scenario = Scenario("floor", segments, ground, **how)
+        scenario = Scenario(
+            "floor", segments, ground, sensors=plan.sensors, stand=stand, gait=plan.gait
+        )
         try:
             log = walk(scenario, robot, seed, (*plan.ground, *plan.effects), declared=False)
         except SurefootError:  # fallen, or a size that leaves it no foot

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from surefoot.models.observer.gru import scan
-from surefoot.models.observer.odometry import add_leg_velocity
+from surefoot.models.observer.odometry import add_leg_velocity, complete_weights
 from surefoot.sim.common.kernels import kernel
 
 Features = Callable[[np.ndarray], np.ndarray]
@@ -74,7 +74,7 @@ class Head:
         """Raises as `linear` does."""
         self._linear = linear(weights, "head.weight", features, outputs)
         self._gates = linear(weights, "odometry.gates.weight", features, legs) if legs else None
-        known = {"odometry.speed": np.zeros(3, np.float32)} | dict(weights)  # missing in 0.1.0
+        known = complete_weights(weights) if legs else {}
         sizes = {"gain": 3, "mean": 3 * legs, "scale": 3 * legs, "speed": 3} if legs else {}
         self._units = [of_shape(known, f"odometry.{name}", n) for name, n in sizes.items()]
 

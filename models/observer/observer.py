@@ -27,6 +27,7 @@ from surefoot.models.observer.odometry import (
     LegGeometry,
     Mounted,
     check_leg_geometry,
+    complete_weights,
     contact_points,
 )
 from surefoot.models.observer.settings import INSTALL_TORCH
@@ -154,9 +155,8 @@ class Observer:
 
         inputs, outputs = len(self.input_mean), LOSS_OUTPUTS[self.loss]
         network = Network(self.model, inputs, outputs, self.width, self._leg_count)
-        never_fades = {"odometry.speed": torch.zeros(3)} if self._leg_count else {}  # as in 0.1.0
-        weights = {name: torch.from_numpy(w) for name, w in self.weights.items()}
-        network.load_state_dict(never_fades | weights)
+        weights = complete_weights(self.weights) if self._leg_count else self.weights
+        network.load_state_dict({name: torch.from_numpy(w) for name, w in weights.items()})
         return network.eval()
 
     def running(self, whole: bool = False) -> Running:

@@ -16,6 +16,7 @@ Velocities of an IMU mounted at another place of the same body are converted by 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -97,6 +98,13 @@ def complete_geometry(geometry: LegGeometry) -> LegGeometry:
     legs = len(geometry.get("radius", ()))
     in_turn = np.arange(3.0 * legs).reshape(legs, 3)
     return {"joints": in_turn, "joint_count": np.full(legs, 3.0)} | geometry
+
+
+def complete_weights(weights: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Add the missing `speed` to the weights of leg odometry: in observers of 0.1.0 the correction
+    never fades.
+    """
+    return {"odometry.speed": np.zeros(3, np.float32)} | dict(weights)
 
 
 def check_leg_geometry(geometry: LegGeometry, joints: int) -> None:

@@ -40,6 +40,8 @@ objects and hardly any garbage: with the usual thresholds, collecting took an ei
 QUIET_TIME = 3.0
 """Compilation time after which the notice is also printed to a file or pipe [s]."""
 
+_USED = "used"
+"""File in a folder of machine code that was touched when the code was last used."""
 _swept: set[Path] = set()
 _compiled: set[Any] = set()
 
@@ -120,23 +122,25 @@ def compiled(function: Any, signature: Any) -> Any:
     return function
 
 
-def is_cached(module: str) -> bool:
-    """Whether machine code of a module's kernels is in the cache."""
-    return any((_root() / sources_digest(module)[:16]).glob("*.nbi"))
+def lacks_code(module: str) -> bool:
+    """Whether the cache has no machine code of an imported module's kernels, but can keep it."""
+    with suppress(OSError):
+        folder = _folder_of(module, getattr(sys.modules.get(module), "__file__", None))
+        return (folder / _USED).exists() and not any(folder.glob("*.nbi"))
+    return False
 
 
-def _root() -> Path:
-    return cache_folder() / "kernels"
+def _folder_of(module: str, file: str | None) -> Path:
+    return cache_folder() / "kernels" / sources_digest(module, file)[:16]
 
 
 def _folder(function: Callable) -> Path:
     """Folder for the machine code of a function's module."""
     module = sys.modules.get(function.__module__)
     file = getattr(module, "__file__", None) or function.__code__.co_filename
-    root = _root()
-    folder = root / sources_digest(function.__module__, file)[:16]
+    folder = _folder_of(function.__module__, file)
     with suppress(OSError):
-        _sweep(root, folder)
+        _sweep(folder.parent, folder)
     return folder
 
 
@@ -146,11 +150,11 @@ def _sweep(root: Path, folder: Path) -> None:
         return
     _swept.add(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "used").touch()
+    (folder / _USED).touch()
     if root in _swept:
         return
     _swept.add(root)
-    for stamp in root.glob("*/used"):
+    for stamp in root.glob(f"*/{_USED}"):
         with suppress(OSError):
             if time.time() - stamp.stat().st_mtime > KERNEL_LIFETIME:
                 shutil.rmtree(stamp.parent, ignore_errors=True)

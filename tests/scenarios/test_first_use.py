@@ -61,12 +61,12 @@ def test_a_fresh_clone_compiles_each_kernel_once_and_no_formatting_of_messages(t
     assert not compiled(ESTIMATES, tmp_path)
 
 
-@pytest.mark.parametrize("cached", [True, False])
-def test_filters_are_compiled_meanwhile_only_where_they_are_not_cached(monkeypatch, cached):
+@pytest.mark.parametrize("lacking", [True, False])
+def test_filters_are_compiled_meanwhile_only_where_the_cache_lacks_them(monkeypatch, lacking):
     tasks = []
-    monkeypatch.setattr(first_use, "is_cached", lambda module: cached)
+    monkeypatch.setattr(first_use, "lacks_code", lambda module: lacking)
     monkeypatch.setattr(first_use, "processes", lambda workers: nullcontext("pool"))
     monkeypatch.setattr(first_use, "submitted", lambda pool, task: tasks.append(task))
     with pytest.raises(ValueError, match="meanwhile"), first_use.filters_compiled_meanwhile():
         raise ValueError("meanwhile")
-    assert tasks == ([] if cached else [(first_use.compile_filters,)])
+    assert tasks == ([(first_use.compile_filters,)] if lacking else [])

@@ -16,6 +16,7 @@ from surefoot.sim.common.kernels import (
     _Compilation,
     compiled,
     kernel,
+    lacks_code,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
@@ -74,6 +75,22 @@ def test_a_kernel_works_where_its_cache_does_not(place, tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "doubled")
     assert kernel(function)(3.0) == 6.0
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_a_cache_lacks_code_until_it_is_compiled_or_if_it_keeps_none(tmp_path, monkeypatch):
+    monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "tripled.py").write_text("def tripled(x):\n    return 3.0 * x\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    function = kernel(importlib.import_module("tripled").tripled)
+    assert lacks_code("tripled")
+    assert function(2.0) == 6.0
+    assert not lacks_code("tripled")
+    for elsewhere in ("a file", "x" * 300):
+        monkeypatch.setenv("SUREFOOT_CACHE", str(tmp_path / elsewhere))
+        if elsewhere == "a file":
+            (tmp_path / elsewhere).write_text("mine")
+        assert not lacks_code("tripled")
+    monkeypatch.delitem(sys.modules, "tripled")
 
 
 def full(*_):

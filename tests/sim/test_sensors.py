@@ -63,6 +63,16 @@ def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams)
         assert_array_equal(getattr(shifted, name), getattr(plain, name))
 
 
+def test_noise_of_encoders_is_white_and_leaves_the_other_sensors_alone(streams):
+    plain = with_errors(streams, Sensors(encoder_step=0.0))
+    noisy = with_errors(streams, Sensors(encoder_step=0.0, encoder_noise=1e-3))
+    noise = noisy.q - plain.q
+    assert noise.std() == pytest.approx(1e-3, rel=0.02)
+    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.02 * 1e-3**2
+    for name in ("gyro", "accel", "dq", "tau", "force"):
+        assert_array_equal(getattr(noisy, name), getattr(plain, name))
+
+
 @pytest.mark.parametrize("frequency", [2.0, 20.0, 60.0])
 def test_low_pass_has_the_gain_of_its_bandwidth(frequency):
     """1 / sqrt(1 + (f tau 2 pi)^2), far below half the sampling rate."""
