@@ -111,13 +111,15 @@ def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> Import
         rules = replace(rules, robot=given)
     if rules.robot is None:
         return rules
-    for folder in (Path.cwd(),) if given else (rules.path.parent, main.parent, Path.cwd()):
+    for folder in (
+        (Path.cwd(),) if given is not None else (rules.path.parent, main.parent, Path.cwd())
+    ):
         file = folder / rules.robot
         if file.suffix in SUFFIXES and is_file(file):
             rules = _with_imu_of(file, rules)
             model = rules.model | model_metadata(file.stem, file.resolve())
             return replace(rules, robot=file.stem, model=model)
-    with errors_in("--robot" if given else f"{rules.path}: [robot] name"):
+    with errors_in("--robot" if given is not None else f"{rules.path}: [robot] name"):
         return _with_imu_of(machine_file(rules.robot), rules)
 
 
