@@ -17,6 +17,7 @@ runs. Each test states when it failed first.
 - Biases. b(t) - b(0) has at most the covariance of the prior and of the random walk since.
 - Rejections. If all feet are rejected for a second, or more than half of a sensor's measurements,
   the estimate or the sensor is wrong (half is the breakdown point of any robust estimate).
+- Training. An observer that was trained on many walks knows how far a further one is from these.
 - Speed, variances that are not positive, estimates that are not finite.
 """
 
@@ -50,6 +51,7 @@ _MERGED = {
     "pushed": np.add,
     "push_claimed": np.maximum,
     "definite": np.logical_and,
+    "unlike": np.fmax,
 }
 """How the values of a window that lies in two pieces of a run are combined. The biases of the later
 piece are kept.
@@ -84,6 +86,8 @@ class RunSummary:
         push_claimed: standard deviation of an axis of it that the claimed errors of tilt and
             accelerometer explain (W,) [m/s].
         definite: whether all variances are positive (W,).
+        unlike: distance (W,) of the walk so far from those that its observer was trained on, 1
+            being the farthest of these; NaN where it is not known.
         first: biases at the first estimate (6,).
         prior: their claimed deviations there (6,).
         diverged: whether the estimates end because they were no longer finite.
@@ -96,6 +100,7 @@ class RunSummary:
     pushed: np.ndarray
     push_claimed: np.ndarray
     definite: np.ndarray
+    unlike: np.ndarray
     first: np.ndarray
     prior: np.ndarray
     diverged: bool
@@ -108,7 +113,7 @@ def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
         sums, bias, flags = np.zeros((0, 0, 10)), np.zeros((0, 6)), np.zeros(0, dtype=bool)
         first = np.zeros(6)
         return RunSummary(
-            none, sums, bias, none, none, none, flags, first, first, estimate.diverged
+            none, sums, bias, none, none, none, flags, none, first, first, estimate.diverged
         )
     windows = windows_of(estimate.t)
     at = np.flatnonzero(np.r_[True, np.diff(windows) != 0])
@@ -128,6 +133,7 @@ def summary_of_run(estimate: Trajectory, log: Log) -> RunSummary:
         np.linalg.norm(np.add.reduceat(_pushes(estimate, log), at), axis=1),
         np.sqrt(np.maximum.reduceat(_push_variance(variances), at)),
         np.logical_and.reduceat((variances > 0).all(axis=1), at),
+        np.full(len(at), np.nan) if estimate.unlike is None else estimate.unlike[at],
         bias[0].copy(),  # without the array that it is a row of
         np.sqrt(variances[0, 9:]),
         estimate.diverged,
@@ -265,7 +271,7 @@ def health(run: RunSummary, names: Sequence[str], walk: tuple[float, float]) -> 
     sensors = dict(zip([*names, "velocity"], run.sums.swapaxes(0, 1), strict=False))
     deviations = _bias_deviations(run, walk)
     found = [*_ends(run), *_innovations(run, sensors), *_rejected(run, sensors)]
-    found += [*_corrections(run), *_biases(run, deviations)]
+    found += [*_corrections(run), *_biases(run, deviations), *_unlike_training(run)]
     return Health(
         tuple(_sensor(sums, n) for n, sums in sensors.items() if sums[:, [COUNT, LEFT_OUT]].any()),
         deviations.max(axis=0),
@@ -333,6 +339,15 @@ def _corrections(run: RunSummary) -> Iterator[Doubt]:
     most = run.pushed[ratio > limit].max(initial=0.0)
     reason = f"its updates contradict the IMU by {most:.1f} m/s in a second"
     yield from _first(run, ratio > limit, reason)
+
+
+def _unlike_training(run: RunSummary) -> Iterator[Doubt]:
+    far = run.unlike[-1]
+    reason = (
+        f"the walk is unlike those that its observer was trained on, {far:.1f} times as far from "
+        "them as the farthest of these"
+    )
+    yield from _first(run, (run.unlike > 1.0) & (far > 1.0), reason)
 
 
 def _bias_deviations(run: RunSummary, walk: tuple[float, float]) -> np.ndarray:

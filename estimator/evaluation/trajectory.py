@@ -79,6 +79,8 @@ class Trajectory:
         updates: record of the velocity updates.
         innovations: sums over all updates; not stored in files.
         diverged: whether later estimates were not finite and are omitted; not stored in files.
+        unlike: distance (N,) of the walk so far from those that an observer was trained on, 1 being
+            the farthest of these and NaN where it is not known; not stored in files.
     """
 
     t: np.ndarray
@@ -91,11 +93,12 @@ class Trajectory:
     updates: UpdateRecord | None = None
     innovations: InnovationSums | None = None
     diverged: bool = False
+    unlike: np.ndarray | None = None
 
     def __post_init__(self):
         n = len(self.t)
         shapes = {"t": (n,), "R_GI": (n, 3, 3)} | dict.fromkeys(_VECTORS, (n, 3))
-        for name, wanted in (shapes | {"covariance": (n, 15, 15)}).items():
+        for name, wanted in (shapes | {"covariance": (n, 15, 15), "unlike": (n,)}).items():
             value = getattr(self, name)
             if value is not None and np.shape(value) != wanted:
                 raise TrajectoryError(
@@ -109,9 +112,9 @@ class Trajectory:
 
     def rows(self, which: slice | np.ndarray) -> Trajectory:
         """Select rows by a slice, a mask (N,) or indices. Updates are kept whole."""
-        arrays = {name: getattr(self, name)[which] for name in ("t", "R_GI", *_VECTORS)}
-        covariance = None if self.covariance is None else self.covariance[which]
-        return replace(self, **arrays, covariance=covariance)
+        every = {name: getattr(self, name) for name in ("t", "R_GI", *_VECTORS)}
+        every |= {"covariance": self.covariance, "unlike": self.unlike}
+        return replace(self, **{k: None if x is None else x[which] for k, x in every.items()})
 
     def write(self, path: str | Path, force: bool = False, warnings: Sequence[str] = ()) -> None:
         """Write one Parquet file, whole or not at all; refuses to overwrite without `force`.

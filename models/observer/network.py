@@ -89,7 +89,14 @@ class Network(torch.nn.Module):
             torch.nn.init.zeros_(self.head.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        features = self.body(x.clone())  # an architecture may write to its input
+        return self.outputs(x, self.features(x))
+
+    def features(self, x: torch.Tensor) -> torch.Tensor:
+        """Features (T, B, F) of the body."""
+        return self.body(x.clone())  # an architecture may write to its input
+
+    def outputs(self, x: torch.Tensor, features: torch.Tensor) -> torch.Tensor:
+        """Outputs of the head, of inputs and features."""
         outputs = self.head(features)
         if self.odometry is None:
             return outputs

@@ -22,6 +22,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from surefoot.models.observer.inference import COMPILED, LOSS_OUTPUTS, Head, cholesky_factor
+from surefoot.models.observer.novelty import Novelty, TrainingStates
 from surefoot.models.observer.odometry import (
     Kinematics,
     LegGeometry,
@@ -54,10 +55,11 @@ EARLIER_INPUTS = ("feet", "tau,feet", "q,dq,tau,feet")
 """Inputs of observers of version 0.1.0, whose feet move relative to the base: without gyro."""
 
 
-Running = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
-"""Function of a robot's next samples, 10 ms apart, to v_I (M, 3) [m/s] and covariances (M, 3, 3),
-None of an `mse` observer. A sample are the `signals` (S,), unscaled, after the anti-alias filter of
-`surefoot.models.observer.samples`; the state is kept between calls.
+Running = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
+"""Function of a robot's next samples, 10 ms apart, to v_I (M, 3) [m/s], covariances (M, 3, 3), None
+of an `mse` observer, and the distance (M,) of the walk so far from the training walks, NaN where it
+is not known (`surefoot.models.observer.novelty`). A sample are the `signals` (S,), unscaled, after
+the anti-alias filter of `surefoot.models.observer.samples`; the state is kept between calls.
 """
 
 
@@ -104,6 +106,8 @@ class Observer:
             with errors elsewhere.
         causal_dq: whether the joint velocities were derived from q.
         legs: geometry of the robot from which `feet` is computed; empty without `feet`.
+        training_states: distribution of the network's features in the training walks; empty for too
+            few walks, and after tuning.
     """
 
     model: str
@@ -126,6 +130,7 @@ class Observer:
     errors: np.ndarray
     causal_dq: bool = False
     legs: LegGeometry = field(default_factory=dict)
+    training_states: TrainingStates = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -178,18 +183,19 @@ class Observer:
                 "whole logs, not a loop; train one with model gru"
             )
         head = Head(self.weights, features, LOSS_OUTPUTS[self.loss], self._leg_count)
-
+        novelty = Novelty(self.training_states, features)
         kinematics = Kinematics.of(self.legs, self) if self.legs else None
 
-        def run(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        def run(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
             inputs = observer_inputs(self.inputs, kinematics, x) - self.input_mean
             scaled = (inputs / self.input_scale).astype(np.float32, order="C")
-            outputs = head(scaled, body(scaled))
+            seen = body(scaled)
+            outputs, unlike = head(scaled, seen), novelty(seen)
             v_I = self.output_mean + self.output_scale * outputs[:, :3].astype(float)
             if self.loss != "gml":
-                return v_I, None
+                return v_I, None, unlike
             L = self.output_scale[:, None] * cholesky_factor(outputs).astype(float)
-            return v_I, L @ L.swapaxes(-1, -2)
+            return v_I, L @ L.swapaxes(-1, -2), unlike
 
         return run
 
@@ -226,7 +232,7 @@ class Observer:
         try:
             with safe_open(path, "numpy") as file:
                 about = parse_json((file.metadata() or {})[METADATA])
-                values = about | {"weights": {}, "legs": {}}
+                values = about | {"weights": {}, "legs": {}, "training_states": {}}
                 for name in file.keys():  # noqa: SIM118, it is no mapping
                     group, dot, key = name.partition(".")
                     among, key = (values[group], key) if dot else (values, name)
@@ -252,7 +258,9 @@ def observer_of_torch(path: str | Path) -> Observer:
     try:
         values: Any = torch.load(path, map_location="cpu", weights_only=True)
         # Those from before leg odometry have no legs.
-        content = {"legs": {}} | {name: in_numpy(value) for name, value in values.items()}
+        content = {"legs": {}, "training_states": {}} | {
+            name: in_numpy(value) for name, value in values.items()
+        }
     except Exception as error:
         # torch raises many types here, depending on the file's contents.
         raise ObserverError(f"{path}: not a surefoot observer, or a damaged one") from error
@@ -395,4 +403,7 @@ def _from_plain(values: dict[str, Any]) -> Observer:
     for name, weight in observer.weights.items():
         if weight.dtype != np.float32 or not np.isfinite(weight).all():
             raise ValueError(f"weights: {name} is not finite and float32")
+    for name, value in observer.training_states.items():
+        if name not in ("mean", "whitening") or not np.isfinite(value).all():
+            raise ValueError(f"training_states: {name} is unknown or not finite")
     return observer

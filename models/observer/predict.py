@@ -31,11 +31,14 @@ class Prediction:
         rows: indices into the log (M,).
         v_I: velocity of the log's IMU in its own frame (M, 3) [m/s].
         covariance: (M, 3, 3) [m^2/s^2] of a `gml` observer, None of an `mse` one.
+        unlike: distance (M,) of the walk so far from the training walks, 1 being the farthest of
+            these; NaN where it is not known (`surefoot.models.observer.novelty`).
     """
 
     rows: np.ndarray
     v_I: np.ndarray
     covariance: np.ndarray | None
+    unlike: np.ndarray
 
 
 def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Prediction:
@@ -49,7 +52,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
     check_robot(observer, robot, log.joints, f"{log.name}: ")
     seen = observer_samples(log, observer.inputs)
     with np.errstate(over="ignore", invalid="ignore"):  # of extreme weights, refused below
-        v_I, covariance = observer.running(whole=True)(seen.x)
+        v_I, covariance, unlike = observer.running(whole=True)(seen.x)
     parts = v_I if covariance is None else np.hstack([v_I, covariance.reshape(len(v_I), 9)])
     sound = (np.abs(parts) < _LARGEST).all()  # not of nan
     if not sound or (covariance is not None and np.linalg.eigvalsh(covariance).min() <= 0.0):
@@ -65,7 +68,7 @@ def predict(observer: Observer, log: Log, robot: Mounted | None = None) -> Predi
             )
         gyro = log.gyro[seen.rows]
         v_I, covariance = move_velocity(v_I, covariance, gyro, observer, robot)
-    return Prediction(seen.rows, v_I, covariance)
+    return Prediction(seen.rows, v_I, covariance, unlike)
 
 
 def prediction_errors(
@@ -129,11 +132,9 @@ class ObserverStream:
 
     def advance(
         self, t: np.ndarray, gyro: np.ndarray, readings: dict[str, np.ndarray | None]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Process the next rows.
-
-        Returns the rows (M,) among these that are updates, v_I (M, 3) [m/s] there and covariances
-        (M, 3, 3), None for an `mse` observer. Raises ObserverError where an input is missing.
+    ) -> Prediction:
+        """Process the next rows; returns the prediction at those of them that are updates. Raises
+        ObserverError where an input is missing.
 
         Args:
             t: stamps (N,) [s].
@@ -149,11 +150,11 @@ class ObserverStream:
         seen = decimate(times, x, rows + before)
         kept = int(np.searchsorted(times, times[-1] - ANTI_ALIAS_SPAN - 1e-6))
         self._t, self._x = times[kept:], x[kept:]
-        v_I, covariance = self._running(seen)
+        v_I, covariance, unlike = self._running(seen)
         if self._moved:
             mountings = self._observer, self._robot
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
-        return rows, v_I, covariance
+        return Prediction(rows, v_I, covariance, unlike)
 
     def _inputs(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> np.ndarray:
         values = []

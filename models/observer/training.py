@@ -22,6 +22,7 @@ import torch
 from surefoot.models.observer.data import Dataset, ScaledLog, draw, prepare
 from surefoot.models.observer.inference import LOSS_OUTPUTS
 from surefoot.models.observer.network import Network, loss_of
+from surefoot.models.observer.novelty import TrainingStates, blocks_of, training_states
 from surefoot.models.observer.observer import (
     WIDEST,
     Observer,
@@ -126,7 +127,7 @@ def train(
             network.load_state_dict(weights)
             scored = [log for log in dataset.logs if log.validation.any()]
             _, rmse = _score(network, scored, settings.loss, dataset.y_scale)
-        errors = _errors(network, dataset)
+        errors, states = _final(network, dataset)
     return Observer(
         model=settings.model,
         width=units,
@@ -148,6 +149,7 @@ def train(
         errors=errors,
         causal_dq=dataset.causal_dq,
         legs=dataset.legs,
+        training_states={} if start else states,
     )
 
 
@@ -391,14 +393,16 @@ def _score(
 
 
 @torch.no_grad()
-def _errors(network: Network, dataset: Dataset) -> np.ndarray:
-    """Errors (M, 3), m/s, at all measured rows of all logs."""
-    errors = []
+def _final(network: Network, dataset: Dataset) -> tuple[np.ndarray, TrainingStates]:
+    """Errors (M, 3), m/s, at all measured rows of all logs, and the states on these."""
+    errors, blocks = [], []
     for log in dataset.logs:
-        measured = log.train | log.validation
-        outputs = network(log.x[:, None])[:, 0, :3]
+        x, measured = log.x[:, None], log.train | log.validation
+        features = network.features(x)
+        outputs = network.outputs(x, features)[:, 0, :3]
         errors.append((outputs - log.y)[measured].double().numpy() * dataset.y_scale)
-    return np.concatenate(errors)
+        blocks.append(blocks_of(features[:, 0].numpy()))
+    return np.concatenate(errors), training_states(blocks)
 
 
 def _warm_cosine(done: float) -> float:

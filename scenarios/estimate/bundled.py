@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
@@ -24,7 +25,7 @@ from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import ObserverStream, predict
+from surefoot.models.observer.predict import ObserverStream, Prediction, predict
 from surefoot.scenarios.estimate.contract import (
     Beginning,
     Learnt,
@@ -358,6 +359,7 @@ class ObserverFusion(ImuStream):
         super().__init__(beginning, noise, fusion.model)
         self._observer, self._robot = observer, robot
         self._beginning, self._fusion = beginning, fusion
+        self._last_unlike = np.nan
 
     @cached_property
     def _stream(self) -> ObserverStream:
@@ -370,13 +372,11 @@ class ObserverFusion(ImuStream):
         sample = check_sample(sample, self.filter.t)
         each = {name: getattr(sample, name) for name in OBSERVED}
         readings = {name: None if x is None else x[None] for name, x in each.items()}
-        rows, velocities, predicted = self._stream.advance(
-            np.array([sample.t]), sample.gyro[None], readings
-        )
+        seen = self._stream.advance(np.array([sample.t]), sample.gyro[None], readings)
         super().step(sample)
-        if not len(rows):
+        if not len(seen.rows):
             return None
-        v_I, fusion = velocities[0], self._fusion
+        v_I, predicted, fusion = seen.v_I[0], seen.covariance, self._fusion
         if fusion.epsilon is not None:
             epsilon = fusion.epsilon(predicted).reshape(3)
             pi = self.filter.update_coverage(v_I, epsilon, fusion.gamma)
@@ -391,15 +391,21 @@ class ObserverFusion(ImuStream):
         A whole log at once is predicted as one batch, as in `surefoot.models.observer.predict`.
         """
         if np.isnan(self.filter.t) and not more:
-            whole = predict(self._observer, log, self._robot)
-            at, v_I, predicted = whole.rows, whole.v_I, whole.covariance
+            seen = predict(self._observer, log, self._robot)
         else:
             readings = {name: getattr(log, name) if log.has(name) else None for name in OBSERVED}
-            at, v_I, predicted = self._stream.advance(log.t, log.gyro, readings)
+            seen = self._stream.advance(log.t, log.gyro, readings)
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
-        velocities = self._fusion.velocities(at, v_I, predicted, len(imu.t))
+        velocities = self._fusion.velocities(seen.rows, seen.v_I, seen.covariance, len(imu.t))
         settings = CoverageSettings(self._fusion.gamma)
-        return self.filter.run(imu, velocities, rows, settings)
+        estimate = self.filter.run(imu, velocities, rows, settings)
+        return replace(estimate, unlike=self._unlike(seen, rows[: len(estimate.t)]))
+
+    def _unlike(self, seen: Prediction, rows: np.ndarray) -> np.ndarray:
+        """Distances (L,) from the observer's training walks, at `rows`."""
+        known = np.append(self._last_unlike, seen.unlike)
+        self._last_unlike = known[-1]
+        return known[np.searchsorted(seen.rows, rows, side="right")]
 
 
 class LegStream(FilterStream):

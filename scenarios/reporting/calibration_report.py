@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from surefoot.estimator.evaluation.innovation import innovations
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import region_of, samples_for
 from surefoot.models.calibration.empirical_coverage import (
@@ -21,16 +20,11 @@ from surefoot.models.calibration.empirical_coverage import (
     worst_case,
 )
 from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region, calibrator
-from surefoot.models.calibration.shift import (
-    FALSE_ALARM,
-    block_sizes,
-    shift_alarm,
-)
 from surefoot.models.observer.observer import Observer, log_digest
 from surefoot.models.observer.predict import predict
 from surefoot.models.observer.samples import RATE, observer_rows
 from surefoot.models.registry import CALIBRATORS
-from surefoot.scenarios.estimate.run import Learnt, declared_model, run_filter
+from surefoot.scenarios.estimate.run import declared_model
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
@@ -57,7 +51,7 @@ def write_calibration_report(
         bounds: its bounds.
         calibration: logs of the bounds, as recorded; as many as their `len` says, read one by one.
         logs: walks, as recorded, to evaluate the bounds on; one without a reference only has the
-            alarm.
+            distance from the training walks.
         page: page of results (Markdown) to write as well.
     """
     count = length_hint(calibration)
@@ -91,7 +85,7 @@ def write_calibration_report(
     return sections
 
 
-FIRST = ["walk", "role", "coverage [%]", "95 % interval", "bounds", "alarm"]
+FIRST = ["walk", "role", "coverage [%]", "95 % interval", "bounds", "distance"]
 """Columns of coverage that a reader needs first."""
 MOST_NAMED = 3
 """Largest number of logs that are named."""
@@ -129,9 +123,8 @@ def _mixing_prose(bounds: Bounds) -> str:
 
 SHIFT_PROSE = (
     "Coverage is lost if the whole 95 % interval, which counts one error for each K samples, lies "
-    "below the level. The alarm compares the filter's innovations with those in the calibration; "
-    f"on a walk like that one it is raised with a probability of at most {FALSE_ALARM:g}. It does "
-    "not notice a persistent error that moves the filter's velocity with it."
+    "below the level. Distance is that from the walks that the observer was trained on, 1 being "
+    "the farthest of these; it needs no reference, and is not known of an observer of few walks."
 )
 
 
@@ -142,7 +135,7 @@ def calibrated_on(bounds: Bounds) -> str:
 
 
 def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
-    """Sentences: on which walks the bounds hold, their size, and whether the alarm noticed."""
+    """Sentences: on which walks the bounds hold, their size, and which are unlike the training."""
     sure = "" if bounds.confidence is None else f", with confidence {bounds.confidence:g}"
     size = (
         f"The bounds are {bounds.words}, "
@@ -153,17 +146,17 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
         return size
     tests = walks[(walks["role"] == "test") & walks["bounds"].notna()]
     lost = tests[tests["bounds"] == "lost"]
-    raised = lost["alarm"].str.startswith("after").sum()
-    other = tests["alarm"].str.startswith("after").sum() - raised
+    far, far_lost = (np.sum(some["distance"].to_numpy(float) > 1.0) for some in (tests, lost))
     named = f": {', '.join(lost['walk'])}" if len(lost) else ""
     main = (
         f"Bounds calibrated on {calibrated_on(bounds)} are lost on {len(lost)} of {len(tests)} "
         f"test walks{named}."
     )
     return (
-        f"{main}\n\n{size} The alarm, which needs no reference, is raised on {raised} of the "
-        f"{len(lost)} walks on which they are lost and on {other} of the {len(tests) - len(lost)} "
-        "others. Bounds are a statement on walks like those of the calibration."
+        f"{main}\n\n{size} Farther from the training walks than any of these are {far_lost} of the "
+        f"{len(lost)} walks on which they are lost and {far - far_lost} of the "
+        f"{len(tests) - len(lost)} others. Bounds are a statement on walks like those of the "
+        "calibration."
     )
 
 
@@ -172,7 +165,7 @@ class CalibratedWalk:
     """One log under one calibration.
 
     errors (M, 3) at `rows` of the log, as from `bounded_errors`, empty without a reference;
-    squared (M',) normalised squared innovations.
+    distance from the training walks, NaN where it is not known.
     """
 
     log: Log
@@ -180,25 +173,22 @@ class CalibratedWalk:
     bounds: Bounds
     rows: np.ndarray
     errors: np.ndarray
-    squared: np.ndarray
+    distance: float
 
 
 def evaluate_walk(
     observer: Observer, bounds: Bounds, log: Log, calibrated: bool = False
 ) -> CalibratedWalk:
-    """Run observer and coverage filter over a log as recorded."""
+    """Run the observer over a log as recorded."""
     named = Robot.for_log(log)
     known, robot = declared_model(log, named)
     rows, errors = np.zeros(0, dtype=int), np.zeros((0, 3))
+    prediction = predict(observer, known, robot)
     if log.has("reference"):
-        prediction = predict(observer, known, robot)
         rows, errors = bounded_errors(prediction, bounds, known, robot.R_BI)
-    name = "coverage_gml" if bounds.scaled else "coverage"
-    trajectory = run_filter(name, log, named, Learnt((observer,), (bounds,))).trajectory
-    found = innovations(known, trajectory)
     trained = log_digest(known) in {part.sha256 for part in observer.logs}
     role = "calibration" if calibrated else "training" if trained else "test"
-    return CalibratedWalk(known, role, bounds, rows, errors, found.squared)
+    return CalibratedWalk(known, role, bounds, rows, errors, float(prediction.unlike[-1]))
 
 
 def methods_table(
@@ -240,17 +230,12 @@ def _region_row(
 def sequence_table(
     calibration: Sequence[CalibratedWalk], others: Sequence[CalibratedWalk]
 ) -> pd.DataFrame:
-    """One row per walk: coverage with interval, the worst case, and the alarm."""
-    usual = np.concatenate([block_sizes(walk.squared) for walk in calibration])
+    """One row per walk: coverage with interval, the worst case, and the distance."""
     rows: list[dict[str, object]] = []
     for walk in (*calibration, *others):
         row: dict[str, object] = {"walk": walk.log.name, "role": walk.role}
         row["length [s]"] = round(len(observer_rows(walk.log)) / RATE)
-        row |= _held(walk) | {"alarm": "–"}
-        if walk.role != "calibration":
-            alarm = shift_alarm(usual, block_sizes(walk.squared))
-            row["alarm"] = "none" if alarm is None else f"after {alarm:.0f} s"
-        rows.append(row)
+        rows.append(row | _held(walk) | {"distance": round(walk.distance, 2)})
     return pd.DataFrame(rows)
 
 

@@ -66,8 +66,8 @@ def test_a_loop_gives_the_bits_of_the_whole_log(model, loss, walks):
     observer = train(walks["fit"], Body(), plan)
     whole, loop = predict(observer, walks["test"], Body()), observer.running()
     steps = [loop(x[None]) for x in observer_samples(walks["test"], observer.inputs).x]
-    assert np.array_equal(np.concatenate([v_I for v_I, _ in steps]), whole.v_I)
+    assert np.array_equal(np.concatenate([v_I for v_I, _, _ in steps]), whole.v_I)
     if loss == "gml":
-        covariances = [covariance for _, covariance in steps if covariance is not None]
+        covariances = [covariance for _, covariance, _ in steps if covariance is not None]
         assert whole.covariance is not None
         assert np.array_equal(np.concatenate(covariances), whole.covariance)

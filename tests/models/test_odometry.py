@@ -142,7 +142,7 @@ def test_the_loop_and_the_disk_give_the_whole_log(model, loss, tmp_path):
     assert np.array_equal(whole.v_I, again.v_I)
     running, seen = loaded.running(), observer_samples(log, loaded.inputs)
     for m in range(80):
-        (v_I,), covariance = running(seen.x[m : m + 1])
+        (v_I,), covariance, _ = running(seen.x[m : m + 1])
         assert v_I == pytest.approx(whole.v_I[m], abs=2e-5)
         if covariance is not None and whole.covariance is not None:
             assert covariance[0] == pytest.approx(whole.covariance[m], rel=1e-3, abs=1e-8)
