@@ -38,6 +38,11 @@ FAR = 0.1
 """Share of the path from which a position error is a reason for advice."""
 NO_WORSE = 1.1
 """Largest factor of the position error with a remedy, compared with that without."""
+LEARN = (
+    "; train the observer on walks like this one, or tune it on a stretch of such a walk with a "
+    "reference: surefoot train --from"
+)
+"""What mends an observer on a walk that is unlike those of its training."""
 PATIENCE, AT_LEAST = 4.0, 20.0
 """Largest time that is spent on trying, relative to that of a single run; and the time [s] that is
 always granted, in which all is tried with a filter whose stream runs over a log at once.
@@ -140,9 +145,11 @@ def advice(
         mending += [one for one in rules if one and _mends(before, one)]
     left = "; not all changes were tried, as each run takes long" * (perf_counter() > until)
     if not mending:
+        unlike = before.result.trajectory.unlike
+        far = unlike is not None and unlike[-1] > 1.0
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "
-            f"or start mends it{left}"
+            f"or start mends it{left}{LEARN * far}"
         )
     best = min(mending, key=lambda one: one.cost)
     return f"{best.remedy.words}; tried on this log: {_effect(before, best)}{left}"
