@@ -344,8 +344,8 @@ def _corrections(run: RunSummary) -> Iterator[Doubt]:
 def _unlike_training(run: RunSummary) -> Iterator[Doubt]:
     far = run.unlike[-1]
     reason = (
-        f"the walk is unlike those that its observer was trained on, {far:.1f} times as far from "
-        "them as the farthest of these"
+        "the walk is unlike those that its observer was trained on (distance "
+        f"{far:.1f}, of these at most 1)"
     )
     yield from _first(run, (run.unlike > 1.0) & (far > 1.0), reason)
 

@@ -144,7 +144,7 @@ def test_a_walk_unlike_the_training_is_doubted_from_when_it_is():
     for name, unlike in far.items():
         run = replace(summary(np.zeros((4, 1, 10))), unlike=np.array(unlike))
         found[name] = health(joined_summary([run]), (), (1e-3, 1e-4))
-    assert "1.3 times as far" in found["for long"].sentence("coverage")
+    assert "distance 1.3" in found["for long"].sentence("coverage")
     assert found["for long"].since == 2.0
     assert not found["no more"].lost
     assert not found["never"].lost
