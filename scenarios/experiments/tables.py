@@ -37,7 +37,7 @@ TABLE_MEANINGS = {
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
     "for filters whose bounds are on something else",
     SHARE: "APE_trans over the length of the walk",
-    LOST: "walks on which innovations, biases or rejected measurements show a filter to be lost",
+    LOST: "walks on which a filter says that it is not to be trusted",
     "±": "standard deviation over seeds; each seed is a robot, its walks and its observers",
 }
 
