@@ -359,7 +359,8 @@ class ObserverFusion(ImuStream):
         super().__init__(beginning, noise, fusion.model)
         self._observer, self._robot = observer, robot
         self._beginning, self._fusion = beginning, fusion
-        self._last_unlike = np.nan
+        self.unlike = np.nan
+        """Distance of the walk so far from the observer's training walks, 1 being the farthest."""
 
     @cached_property
     def _stream(self) -> ObserverStream:
@@ -376,6 +377,7 @@ class ObserverFusion(ImuStream):
         super().step(sample)
         if not len(seen.rows):
             return None
+        self.unlike = float(seen.unlike[-1])
         v_I, predicted, fusion = seen.v_I[0], seen.covariance, self._fusion
         if fusion.epsilon is not None:
             epsilon = fusion.epsilon(predicted).reshape(3)
@@ -403,8 +405,8 @@ class ObserverFusion(ImuStream):
 
     def _unlike(self, seen: Prediction, rows: np.ndarray) -> np.ndarray:
         """Distances (L,) from the observer's training walks, at `rows`."""
-        known = np.append(self._last_unlike, seen.unlike)
-        self._last_unlike = known[-1]
+        known = np.append(self.unlike, seen.unlike)
+        self.unlike = float(known[-1])
         return known[np.searchsorted(seen.rows, rows, side="right")]
 
 

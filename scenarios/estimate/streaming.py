@@ -143,6 +143,13 @@ class StreamingEstimator:
         return None if self._stream is None else self._stream.state
 
     @property
+    def unlike(self) -> float:
+        """Distance of the walk so far from those that the filter's observer was trained on, 1 being
+        the farthest of these; NaN where it is not known (`surefoot.models.observer.novelty`).
+        """
+        return getattr(self._stream, "unlike", np.nan)
+
+    @property
     def covariance(self) -> np.ndarray | None:
         """Covariance (15, 15) of its right-invariant error, including the mounting tolerance."""
         if self._stream is None:

@@ -187,6 +187,28 @@ def test_samples_alone_give_the_numbers_of_a_log_without_reference(name, walks, 
     assert_allclose(covariances, whole.covariance[rows], rtol=1e-3, atol=1e-9)
 
 
+def test_the_distance_from_the_training_is_the_same(walks, learnt, robot):
+    """On the robot, in pieces, and of a whole log, which says that it is not to be trusted."""
+    (observer,) = (one for one in learnt.observers if one.loss == "gml")
+    size = 2 * observer.width
+    states = {"mean": np.zeros(size), "whitening": np.eye(size)}
+    far = Learnt((replace(observer, training_states=states),))
+    log = walks[1]
+    found = run_filter("velocity", log, robot, far)
+    assert found.trajectory.unlike is not None
+    last = found.trajectory.unlike[-1]
+    assert last > 1.0
+    assert "unlike those that its observer was trained on" in found.health.sentence("velocity")
+    (*_, piece) = estimated_in_chunks(estimator_named("velocity"), pieces(log), robot, far)
+    assert piece.unlike is not None
+    assert piece.unlike[-1] == pytest.approx(last, rel=1e-4)
+    online = StreamingEstimator("velocity", robot, far)
+    for sample in samples(log):
+        online.step(sample)
+    assert online.unlike == pytest.approx(last, rel=1e-4)
+    assert np.isnan(StreamingEstimator("leg", robot).unlike)
+
+
 def test_readings_are_checked_once_and_stamps_each_time(log):
     first, second = islice(samples(log), 2)
     checked = check_sample(second, first.t)
