@@ -165,15 +165,18 @@ def _header(origin: Origin) -> list[str]:
 
 
 def _commit() -> str:
-    """The commit, with `-dirty` if files differ from it; without a checkout, the version."""
-    here = Path(__file__).resolve().parent
-    described = subprocess.run(
-        ["git", "describe", "--always", "--dirty", "--abbrev=7", "--exclude=*"],
-        cwd=here,
-        capture_output=True,
-        text=True,
-    )
-    return described.stdout.strip() or version("surefoot")
+    """The commit, with `-dirty` if files differ from it outside `docs`, where results are written;
+    without a checkout, the version.
+    """
+
+    def git(*arguments: str) -> str:
+        folder = Path(__file__).resolve().parent
+        done = subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True)
+        return done.stdout.strip()
+
+    commit = git("rev-parse", "--short=7", "HEAD")
+    changed = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)docs")
+    return f"{commit}{'-dirty' if changed else ''}" if commit else version("surefoot")
 
 
 def _processor() -> str:
