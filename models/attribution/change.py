@@ -21,7 +21,13 @@ from surefoot.models.attribution.effect_sizes import (
     with_clipped_size,
     with_deviation,
 )
-from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    slowest_rate,
+)
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
 from surefoot.models.attribution.forces import outside_forces
 from surefoot.models.attribution.judgement import NOISE_RATIO, ChannelLevel
@@ -280,8 +286,7 @@ def _best(
     if best.evidence <= first[0].evidence - AS_LIKELY:
         as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
     named = best.evidence >= NAMED and best.excess >= least_excess(known)
-    rate = min(case.log.rate for case in cases)
-    if not named or _is_sampling_lag(best, new.machine, rate):
+    if not named or _is_sampling_lag(best, new.machine, slowest_rate(cases)):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
