@@ -29,7 +29,7 @@ from surefoot.models.attribution.evidence import (
     slowest_rate,
 )
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
-from surefoot.models.attribution.forces import outside_forces
+from surefoot.models.attribution.forces import Push, outside_forces, pushed_bins
 from surefoot.models.attribution.judgement import NOISE_RATIO, ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
@@ -129,6 +129,7 @@ class Change:
         channels: residual of each channel, before and after the model's error, the runs' own zeros
             and the change are compensated, beside the noise that unchanged runs have.
         zeros: of each run.
+        pushes: outside forces, during which nothing is judged.
     """
 
     verdict: str
@@ -138,6 +139,7 @@ class Change:
     least: dict[Key, float]
     channels: dict[str, ChannelLevel] = field(default_factory=dict)
     zeros: tuple[tuple[Found, ...], ...] = ()
+    pushes: tuple[Push, ...] = ()
 
 
 def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
@@ -156,10 +158,20 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
             f"effects were found in ({names})"
         )
     known = replace(known, noise={g: x for g, x in known.noise.items() if g in shown})
-    found, new = _best(cases, evidence, rates, known)
-    if found.verdict == "unchanged" and (beyond := _beyond(new, known)):
+    found, new = _best(cases, evidence, rates, known, np.ones(len(evidence.t), dtype=bool))
+    if pushes := _pushes(new, known, found.found):
+        # What changed is judged on the rest.
+        rest = ~pushed_bins(cases, evidence, pushes)
+        found, new = _best(cases, evidence, rates, known, rest)
+    beyond = tuple(one.in_words() for one in pushes) or _noisier(new, known)
+    if found.verdict == "unchanged" and beyond:
         found = replace(found, verdict="not_identifiable", reasons=beyond)
-    return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
+    return replace(
+        found,
+        channels=_levels(new, found.found),
+        zeros=_zeros(new, found.found),
+        pushes=pushes,
+    )
 
 
 @dataclass(frozen=True)
@@ -248,12 +260,12 @@ def _best(
     evidence: Evidence,
     rates: Sequence[Mapping[str, float]],
     known: ModelError,
+    used: np.ndarray,
 ) -> tuple[Change, _NewRuns]:
-    """The change that the runs tell, without residuals, and the runs."""
-    every = np.ones(len(evidence.t), dtype=bool)
+    """The change that the bins of a mask `used` (M,) tell, without residuals, and the runs."""
 
     def tried(known: ModelError) -> tuple[_NewRuns, list[Hypothesis]]:
-        metric = metric_of(cases, evidence, known, every, PER_RUN, not cases[0].fixed)
+        metric = metric_of(cases, evidence, known, used, PER_RUN, not cases[0].fixed)
         new = _NewRuns(cases, known, metric)
         return new, _ranked(new)
 
@@ -304,19 +316,22 @@ def _best(
     return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
-def _beyond(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
-    """What shows that runs of which no change is named are not as the unchanged ones, if anything:
-    outside forces, or else how much more noise they have.
-    """
+def _noisier(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
+    """How much more noise runs have than the unchanged ones, if it is much."""
     group = next(iter(unchanged.noise))
     ratio = new.known.noise[group] / unchanged.noise[group]
     if ratio < NOISE_RATIO:
         return ()
+    return (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
+
+
+def _pushes(new: _NewRuns, unchanged: ModelError, found: Sequence[Found]) -> tuple[Push, ...]:
+    """Outside forces in what a change leaves of the runs, where it leaves more than noise."""
+    if not _noisier(new, unchanged):
+        return ()
     metric, fixed = new.metric, new.cases[0].fixed
-    left = np.where(metric.root > 0.0, metric.left(np.zeros(len(new.keys))), np.nan)
-    pushes = outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
-    words = tuple(one.in_words() for one in pushes)
-    return words or (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
+    left = np.where(metric.root > 0.0, metric.left(new.sizes(found)), np.nan)
+    return outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
 
 
 def _ranked(new: _NewRuns) -> list[Hypothesis]:

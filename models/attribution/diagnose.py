@@ -33,6 +33,7 @@ from surefoot.models.attribution.explain import (
 )
 from surefoot.models.attribution.forces import (
     FootFriction,
+    Push,
     estimate_friction,
     outside_forces,
     pushed_bins,
@@ -335,7 +336,6 @@ def diagnose(
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
-    excluded = [words for one in pushes if (words := one.in_words()) not in reasons]
     progress(1.0)
     return Diagnosis(
         verdict=verdict,
@@ -356,7 +356,7 @@ def diagnose(
             *dead,
             *data_notes(cases, floors.plain),
             *slip_notes(friction, "leg_velocity" in channels),
-            *(f"excluded from the verdict: {words}" for words in excluded),
+            *_push_notes(pushes, reasons),
             *_result_notes(found, channels),
             *_lag_notes(lags),
             *way.notes,
@@ -431,6 +431,12 @@ def _sampling_lags(found: Sequence[Found], cases: Sequence[LogUnderModel]) -> li
     return [one for one in found if is_sampling_lag(one.effect, rate)]
 
 
+def _push_notes(pushes: Sequence[Push], reasons: Sequence[str]) -> list[str]:
+    """What the reasons do not say of outside forces."""
+    said = [one.in_words() for one in pushes]
+    return [f"excluded from the verdict: {words}" for words in said if words not in reasons]
+
+
 def _lag_notes(lags: Sequence[Found]) -> list[str]:
     return [
         f"{one.effect.name} of {1e3 * one.effect.value:+.2g} ms is compensated and not counted as "
@@ -502,6 +508,7 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
             for one in change.rivals
             for name, target in one.keys[:1]
         ),
+        notes=tuple(_push_notes(change.pushes, change.reasons)),
         least=change.least,
     )
 
