@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from surefoot.models.attribution.design import design
 from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
@@ -204,6 +205,12 @@ class _NewRuns:
             sizes[self.keys.index((one.effect.name, one.effect.target))] = one.effect.value
         return sizes
 
+    def left(self, found: Sequence[Found]) -> np.ndarray:
+        """True residual (M, W) with these effects, less the zeros and the error of the model."""
+        effects = [one.effect for one in found]
+        data = design(evidence_of(self.cases, effects)[0]) if effects else self.metric.data
+        return replace(self.metric, data=data).left(np.zeros(len(self.keys)))
+
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
         S = self.metric.S
@@ -230,8 +237,7 @@ class _NewRuns:
 def _levels(new: _NewRuns, found: Sequence[Found]) -> dict[str, ChannelLevel]:
     """Residual of each channel over all runs."""
     metric, layout, out = new.metric, new.metric.known.layout, {}
-    sizes = new.sizes(found)
-    before, after = metric.left(0.0 * sizes, terms=False), metric.left(sizes)
+    before, after = metric.left(np.zeros(len(new.keys)), terms=False), new.left(found)
     noise = np.broadcast_to(noise_of(new.known, layout), before.shape)
     for channel in dict.fromkeys(channel for channel, _ in new.known.noise):
         columns = np.intersect1d(layout.of(channel), metric.columns)
@@ -330,7 +336,7 @@ def _pushes(new: _NewRuns, unchanged: ModelError, found: Sequence[Found]) -> tup
     if not _noisier(new, unchanged):
         return ()
     metric, fixed = new.metric, new.cases[0].fixed
-    left = np.where(metric.root > 0.0, metric.left(new.sizes(found)), np.nan)
+    left = np.where(metric.root > 0.0, new.left(found), np.nan)
     return outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
 
 
