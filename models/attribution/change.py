@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from surefoot.models.attribution.design import design
 from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
@@ -21,9 +22,15 @@ from surefoot.models.attribution.effect_sizes import (
     with_clipped_size,
     with_deviation,
 )
-from surefoot.models.attribution.evidence import Evidence, Key, LogUnderModel, linearise
+from surefoot.models.attribution.evidence import (
+    Evidence,
+    Key,
+    LogUnderModel,
+    linearise,
+    slowest_rate,
+)
 from surefoot.models.attribution.explain import NAMED, least_excess, least_named
-from surefoot.models.attribution.forces import outside_forces
+from surefoot.models.attribution.forces import Push, outside_forces, pushed_bins
 from surefoot.models.attribution.judgement import NOISE_RATIO, ChannelLevel
 from surefoot.models.attribution.metric import Metric, metric_of, noise_of
 from surefoot.models.attribution.model_error import (
@@ -123,6 +130,7 @@ class Change:
         channels: residual of each channel, before and after the model's error, the runs' own zeros
             and the change are compensated, beside the noise that unchanged runs have.
         zeros: of each run.
+        pushes: outside forces, during which nothing is judged.
     """
 
     verdict: str
@@ -132,6 +140,7 @@ class Change:
     least: dict[Key, float]
     channels: dict[str, ChannelLevel] = field(default_factory=dict)
     zeros: tuple[tuple[Found, ...], ...] = ()
+    pushes: tuple[Push, ...] = ()
 
 
 def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
@@ -150,10 +159,20 @@ def find_change(cases: Sequence[LogUnderModel], known: ModelError) -> Change:
             f"effects were found in ({names})"
         )
     known = replace(known, noise={g: x for g, x in known.noise.items() if g in shown})
-    found, new = _best(cases, evidence, rates, known)
-    if found.verdict == "unchanged" and (beyond := _beyond(new, known)):
+    found, new = _best(cases, evidence, rates, known, np.ones(len(evidence.t), dtype=bool))
+    if pushes := _pushes(new, known, found.found):
+        # What changed is judged on the rest.
+        rest = ~pushed_bins(cases, evidence, pushes)
+        found, new = _best(cases, evidence, rates, known, rest)
+    beyond = tuple(one.in_words() for one in pushes) or _noisier(new, known)
+    if found.verdict == "unchanged" and beyond:
         found = replace(found, verdict="not_identifiable", reasons=beyond)
-    return replace(found, channels=_levels(new, found.found), zeros=_zeros(new, found.found))
+    return replace(
+        found,
+        channels=_levels(new, found.found),
+        zeros=_zeros(new, found.found),
+        pushes=pushes,
+    )
 
 
 @dataclass(frozen=True)
@@ -186,6 +205,12 @@ class _NewRuns:
             sizes[self.keys.index((one.effect.name, one.effect.target))] = one.effect.value
         return sizes
 
+    def left(self, found: Sequence[Found]) -> np.ndarray:
+        """True residual (M, W) with these effects, less the zeros and the error of the model."""
+        effects = [one.effect for one in found]
+        data = design(evidence_of(self.cases, effects)[0]) if effects else self.metric.data
+        return replace(self.metric, data=data).left(np.zeros(len(self.keys)))
+
     def overlap(self, one: Key, other: Key) -> float:
         """Cosine (0 to 1) between the regressors of two candidates."""
         S = self.metric.S
@@ -212,8 +237,7 @@ class _NewRuns:
 def _levels(new: _NewRuns, found: Sequence[Found]) -> dict[str, ChannelLevel]:
     """Residual of each channel over all runs."""
     metric, layout, out = new.metric, new.metric.known.layout, {}
-    sizes = new.sizes(found)
-    before, after = metric.left(0.0 * sizes, terms=False), metric.left(sizes)
+    before, after = metric.left(np.zeros(len(new.keys)), terms=False), new.left(found)
     noise = np.broadcast_to(noise_of(new.known, layout), before.shape)
     for channel in dict.fromkeys(channel for channel, _ in new.known.noise):
         columns = np.intersect1d(layout.of(channel), metric.columns)
@@ -242,12 +266,12 @@ def _best(
     evidence: Evidence,
     rates: Sequence[Mapping[str, float]],
     known: ModelError,
+    used: np.ndarray,
 ) -> tuple[Change, _NewRuns]:
-    """The change that the runs tell, without residuals, and the runs."""
-    every = np.ones(len(evidence.t), dtype=bool)
+    """The change that the bins of a mask `used` (M,) tell, without residuals, and the runs."""
 
     def tried(known: ModelError) -> tuple[_NewRuns, list[Hypothesis]]:
-        metric = metric_of(cases, evidence, known, every, PER_RUN, not cases[0].fixed)
+        metric = metric_of(cases, evidence, known, used, PER_RUN, not cases[0].fixed)
         new = _NewRuns(cases, known, metric)
         return new, _ranked(new)
 
@@ -280,8 +304,7 @@ def _best(
     if best.evidence <= first[0].evidence - AS_LIKELY:
         as_good = [one for one in first if abs(one.evidence - best.evidence) < AS_LIKELY]
     named = best.evidence >= NAMED and best.excess >= least_excess(known)
-    rate = min(case.log.rate for case in cases)
-    if not named or _is_sampling_lag(best, new.machine, rate):
+    if not named or _is_sampling_lag(best, new.machine, slowest_rate(cases)):
         return Change("unchanged", (), (), (), least), new
     rivals = tuple(
         replace(one, overlap=new.overlap(one.keys[0], best.keys[0]))
@@ -299,19 +322,22 @@ def _best(
     return Change(verdict, (), _found(best, new.machine), rivals, least), new
 
 
-def _beyond(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
-    """What shows that runs of which no change is named are not as the unchanged ones, if anything:
-    outside forces, or else how much more noise they have.
-    """
+def _noisier(new: _NewRuns, unchanged: ModelError) -> tuple[str, ...]:
+    """How much more noise runs have than the unchanged ones, if it is much."""
     group = next(iter(unchanged.noise))
     ratio = new.known.noise[group] / unchanged.noise[group]
     if ratio < NOISE_RATIO:
         return ()
+    return (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
+
+
+def _pushes(new: _NewRuns, unchanged: ModelError, found: Sequence[Found]) -> tuple[Push, ...]:
+    """Outside forces in what a change leaves of the runs, where it leaves more than noise."""
+    if not _noisier(new, unchanged):
+        return ()
     metric, fixed = new.metric, new.cases[0].fixed
-    left = np.where(metric.root > 0.0, metric.left(np.zeros(len(new.keys))), np.nan)
-    pushes = outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
-    words = tuple(one.in_words() for one in pushes)
-    return words or (f"what no effect explains is {ratio:.2g} times that of the unchanged runs",)
+    left = np.where(metric.root > 0.0, new.left(found), np.nan)
+    return outside_forces(new.cases, left, metric.known, MEAN_WINDOW if fixed else BIN)
 
 
 def _ranked(new: _NewRuns) -> list[Hypothesis]:

@@ -19,6 +19,7 @@ from surefoot.models.attribution.evidence import (
     Key,
     LogUnderModel,
     log_under_model,
+    slowest_rate,
     with_compensated,
 )
 from surefoot.models.attribution.explain import (
@@ -32,6 +33,7 @@ from surefoot.models.attribution.explain import (
 )
 from surefoot.models.attribution.forces import (
     FootFriction,
+    Push,
     estimate_friction,
     outside_forces,
     pushed_bins,
@@ -240,7 +242,7 @@ def diagnose(
     friction = estimate_friction(cases, np.random.default_rng(seed))
     slip = slip_effect(friction)
     unseen = logs_under_model(options.holdout, robot, model)
-    problem = problem_of(cases, split.fit, several, model)
+    problem = problem_of(cases, split.fit, several)
 
     def explained(slip: Sequence[Found]) -> tuple[Explanation, _Floors]:
         """The search, and the floors that it was based on."""
@@ -255,7 +257,7 @@ def diagnose(
             parts = {"bins that no fit has seen": split.report}
             data = [Unseen(sides, split.report, parts)]
             if unseen:
-                data.append(_held_out(unseen, effects, (), floor, several, model)[1])
+                data.append(_held_out(unseen, effects, (), floor, several)[1])
             return find_harmful_effect(data) or options.harmful(
                 unseen or now.cases, effects, floor.walks
             )
@@ -303,7 +305,7 @@ def diagnose(
     channels = sides.levels(split.report & ~pushed)
     held_out = None
     if unseen:
-        fitted, data = _held_out(unseen, effects, lags, floors.last, several, model)
+        fitted, data = _held_out(unseen, effects, lags, floors.last, several)
         held_out = HeldOutRuns(data.sides.levels(data.used), fitted)
     progress(0.95)
     curves = curved_angles(result, problem.cases)
@@ -334,7 +336,6 @@ def diagnose(
         # Without a significant effect, no change is reported; the reasons say so.
         found = ()
     dead = dict.fromkeys(note for log in logs if (note := dead_contacts(log)))
-    excluded = [words for one in pushes if (words := one.in_words()) not in reasons]
     progress(1.0)
     return Diagnosis(
         verdict=verdict,
@@ -355,7 +356,7 @@ def diagnose(
             *dead,
             *data_notes(cases, floors.plain),
             *slip_notes(friction, "leg_velocity" in channels),
-            *(f"excluded from the verdict: {words}" for words in excluded),
+            *_push_notes(pushes, reasons),
             *_result_notes(found, channels),
             *_lag_notes(lags),
             *way.notes,
@@ -386,7 +387,6 @@ def _held_out(
     lags: Sequence[Found],
     floor: NoiseFloor,
     several: bool,
-    declared: Sequence[Effect],
 ) -> tuple[tuple[FittedRun, ...], Unseen]:
     """Held-out logs, to which only each log's own zeros and biases are fitted.
 
@@ -396,12 +396,11 @@ def _held_out(
         lags: of the rows, which are compensated as well.
         floor: noise floor of the model with the effects.
         several: whether zeros, biases and clocks belong to each log.
-        declared: effects of the model.
     """
     inner = np.concatenate([inner_bins(case.motion.t) for case in cases])
     of_floor = settled_bins if floor.walks else inner_bins
     judged = np.concatenate([of_floor(case.motion.t) for case in cases])
-    problem = problem_of(cases, inner, several, declared)
+    problem = problem_of(cases, inner, several)
     fitted, metric = zeros_beside(problem, floor.error, effects)
     runs = _with_lags(fitted, lags)
     problem = replace(problem, cases=[run.case for run in runs])
@@ -428,8 +427,14 @@ def _with_lags(runs: Sequence[FittedRun], lags: Sequence[Found]) -> tuple[Fitted
 
 def _sampling_lags(found: Sequence[Found], cases: Sequence[LogUnderModel]) -> list[Found]:
     """Lags within a row of the logs (`is_sampling_lag`), which are no effects of the machine."""
-    slowest = min(case.log.rate for case in cases)
-    return [one for one in found if is_sampling_lag(one.effect, slowest)]
+    rate = slowest_rate(cases)
+    return [one for one in found if is_sampling_lag(one.effect, rate)]
+
+
+def _push_notes(pushes: Sequence[Push], reasons: Sequence[str]) -> list[str]:
+    """What the reasons do not say of outside forces."""
+    said = [one.in_words() for one in pushes]
+    return [f"excluded from the verdict: {words}" for words in said if words not in reasons]
 
 
 def _lag_notes(lags: Sequence[Found]) -> list[str]:
@@ -503,6 +508,7 @@ def _changed(cases: Sequence[LogUnderModel], since: ModelError) -> Diagnosis:
             for one in change.rivals
             for name, target in one.keys[:1]
         ),
+        notes=tuple(_push_notes(change.pushes, change.reasons)),
         least=change.least,
     )
 

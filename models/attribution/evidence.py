@@ -126,6 +126,11 @@ class LogUnderModel:
         return self.robot.limbs.feet_alone
 
 
+def slowest_rate(cases: Sequence[LogUnderModel]) -> float:
+    """The lowest rate of some logs [Hz]."""
+    return min(case.log.rate for case in cases)
+
+
 def log_under_model(
     log: Log,
     robot: Machine,

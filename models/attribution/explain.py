@@ -17,6 +17,7 @@ from scipy.special import stdtrit
 from surefoot.models.attribution.effect_sizes import (
     Found,
     interior_bounds,
+    is_sampling_lag,
     per_run_effects,
     plausible_size,
     price_of_some_parts,
@@ -28,6 +29,7 @@ from surefoot.models.attribution.evidence import (
     LogUnderModel,
     all_keys,
     linearise,
+    slowest_rate,
     with_compensated,
 )
 from surefoot.models.attribution.metric import Metric, metric_of
@@ -165,7 +167,6 @@ class Problem:
         unknown: standard deviation of the size that it seems to have, beyond what walks of the
             model show (C,).
         shift: mean time by which it shifts noisy streams [s per unit] (C,).
-        declared: effects that belong to the model.
     """
 
     cases: Sequence[LogUnderModel]
@@ -177,7 +178,6 @@ class Problem:
     certain: np.ndarray
     unknown: np.ndarray
     shift: np.ndarray
-    declared: Sequence[Effect] = ()
 
     @property
     def machine(self) -> Machine:
@@ -295,7 +295,6 @@ def problem_of(
     cases: Sequence[LogUnderModel],
     use: np.ndarray,
     several: bool,
-    declared: Sequence[Effect] = (),
 ) -> Problem:
     """Logs to explain.
 
@@ -303,7 +302,6 @@ def problem_of(
         cases: the logs under the declared model.
         use: mask (M,) of the bins that may be used.
         several: whether zeros, biases and clocks belong to each log.
-        declared: effects that belong to the model.
     """
     machine, kinds = cases[0].robot, known_effects()
     limbs = machine.limbs
@@ -332,21 +330,24 @@ def problem_of(
         prior=np.array([plausible_size(*key, limbs) / 1.96 for key in keys]),
         price=np.array(price),
         certain=certain,
-        unknown=np.array([_unknown_size(key, limbs) for key in keys]),
+        unknown=np.array([_unknown_size(key, limbs, slowest_rate(cases)) for key in keys]),
         shift=np.array([kinds[name].shift_in(span) for name, _ in keys]),
-        declared=declared,
     )
 
 
-def _unknown_size(key: Key, limbs: Limbs) -> float:
-    """Standard deviation of the size that an effect seems to have without being there."""
+def _unknown_size(key: Key, limbs: Limbs, rate: float) -> float:
+    """Standard deviation of the size that an effect seems to have without being there.
+
+    A lag within a row is there in every log, at this rate [Hz], and is compensated however short.
+    """
     name, target = key
+    exact = effect(name, target, EXACT_SHARE * plausible_size(name, target, limbs))
     traced = known_effects()[name].traced_at(target)
     shows_in = [channels()[c] for c in traced.channels if c in channels()]
     levels = [channel.level_spread.get(target, 0.0) for channel in shows_in]
     if limbs.feet_alone:
         levels.append(POINT_FEET_SIZES.get(key, 0.0))
-    return max(EXACT_SHARE * plausible_size(name, target, limbs), *levels, 0.0)
+    return max(0.0 if is_sampling_lag(exact, rate) else exact.value, *levels, 0.0)
 
 
 def explain(
@@ -503,7 +504,7 @@ class _State:
         """
         known = np.where(np.isfinite(deviations), deviations, 0.0)
         shift = self.problem.shift[at]
-        row = 1.0 / min(case.log.rate for case in self.problem.cases)
+        row = 1.0 / slowest_rate(self.problem.cases)
         with np.errstate(divide="ignore", invalid="ignore"):
             most = np.where(shift > 0.0, 0.5 * row / shift, 0.0)
         return np.minimum(shift * self.metric.entries[at] / BIN * known**2, most)
@@ -934,7 +935,7 @@ def without_sticking(problem: Problem, effects: Sequence[Effect], known: Evidenc
     """The evidence without the entries in which a joint of a fixed base may stick at effects, over
     windows if the problem is.
     """
-    still = sticks(problem.cases, [*problem.declared, *effects], known.layout)
+    still = sticks(problem.cases, effects, known.layout)
     known = replace(known, table=np.where(still, np.nan, known.table))
     return at_middles(known) if problem.by_windows else known
 

@@ -200,7 +200,7 @@ def sums_of(
 ) -> RunSums:
     """Sums of one run over each group of columns.
 
-    Of a machine on a fixed base these are its torques; of a walk all but the command's.
+    Of a machine on a fixed base these are its torques, also against their commands.
 
     Args:
         case: the run.
@@ -210,7 +210,7 @@ def sums_of(
         simulated: whether it is a walk of the model.
     """
     table, layout = design(known), known.layout
-    used = layout.of("joint_torque") if case.fixed else layout.fitted
+    used = layout.of("joint_torque", "command") if case.fixed else layout.fitted
     least = 0.0 if case.fixed else LEAST_NOISE * layout.noise(case.log.rate)
     floor = np.broadcast_to(least, layout.width)
     every = np.zeros(len(weight), int)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.models.alignment.alignment import align
 from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, linearise, table_of
+from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
@@ -60,7 +61,7 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
 
     The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
     fit of one to the other then finds a spring where there is none. As much noise again adds as
-    much again to the product of the two, which is measured here.
+    much again to the product of the two, which is measured here, in the entries that fits use.
 
     Args:
         cases: the logs under the declared model.
@@ -71,10 +72,11 @@ def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping
     rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = (linearise(one, (), keys, nuisance=False) for one in (cases, noisy))
-    change = np.nan_to_num(after.table - before.table) / sigma
+    change = np.where(sticks(cases, (), before.layout), np.nan, after.table - before.table)
+    used, change = np.isfinite(change), np.nan_to_num(change) / sigma
     sizes = {}
     for key, old, new in zip(keys, before.X, after.X, strict=True):
-        was, now = (one.values / sigma[one.columns] for one in (old, new))
+        was, now = (one.values * used[:, one.columns] / sigma[one.columns] for one in (old, new))
         both = np.sum(change[:, new.columns] * now) - np.sum(change[:, old.columns] * was)
         if both and was.any():
             sizes[key] = float(both / np.sum(was**2))

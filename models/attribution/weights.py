@@ -22,7 +22,7 @@ from surefoot.models.attribution.evidence import Evidence, LogUnderModel
 from surefoot.models.residuals.binning import BIN, bin_mean
 from surefoot.models.residuals.layout import Layout
 from surefoot.models.residuals.torques import dilate
-from surefoot.sim.effects import Effect, known_effects
+from surefoot.sim.effects import Effect, effect, known_effects
 from surefoot.sim.effects.drive import DriveEffect
 from surefoot.sim.log import joint_velocity
 from surefoot.sim.physics.loads import STICTION_RATE
@@ -238,7 +238,7 @@ def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: La
 
     Args:
         cases: the logs.
-        effects: found and declared; the model's file may have friction as well.
+        effects: found; the model's file and what is declared of it may have friction as well.
         layout: of the table.
     """
     masks = []
@@ -257,10 +257,14 @@ def sticks(cases: Sequence[LogUnderModel], effects: Sequence[Effect], layout: La
 
 
 def _with_dry_friction(case: LogUnderModel, effects: Sequence[Effect]) -> set[str]:
-    """Names of the joints that have dry friction, by the effects or by the model's file."""
+    """Names of the joints that have dry friction, by the effects or by the declared model."""
     limbs, dynamics = case.robot.limbs, case.robot.dynamics
+    declared = [effect(*key, 0.0) for key, _ in limbs.declared]
     found = {
-        joint for e in effects if isinstance(e, DriveEffect) and e.dry for joint in e.members(limbs)
+        joint
+        for e in (*declared, *effects)
+        if isinstance(e, DriveEffect) and e.dry
+        for joint in e.members(limbs)
     }
     if dynamics is None:
         return found

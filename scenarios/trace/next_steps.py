@@ -43,8 +43,9 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         words = "Run the filters with the effects" if sure else "See whether filters gain by them"
         use.append(Step(words, command("compare", *seen, "--effects", effects, out="compared")))
     if found.verdict == "attributed":
-        unseen = *declared, "--holdout", "OTHER.parquet"
-        check = command("trace", *files.logs, *unseen, out="checked")
+        # Runs that are compared with unchanged ones are so one by one.
+        fitted = () if found.least else (*files.logs, "--holdout")
+        check = command("trace", *fitted, "OTHER.parquet", *declared, out="checked")
         first = [] if files.holdout else [Step("Check them on a log that no fit has seen", check)]
         since = command("trace", "NEW.parquet", "--declared", effects, out="since")
         return (*first, *use, Step("Find later what has changed since", since))

@@ -77,10 +77,16 @@ def trace_files(settings: TraceSettings) -> Trace:
             said, changes = contact_lines(named, progress, only_better=True)
         lines = "`surefoot info LOG --contacts` prints the lines"
         contacts.append(("; ".join((*said, lines) if changes else said),) if said else ())
+    since = unchanged_beside(settings.declared, declared or ()) if settings.declared else None
+    if since is not None and held_out:
+        raise SurefootError(
+            f"--holdout: runs are compared with those of {settings.declared} one by one, so that "
+            "nothing is fitted: trace the other by itself"
+        )
     options = TraceOptions(
         seed=settings.seed,
         declared=declared,
-        since=unchanged_beside(settings.declared, declared or ()) if settings.declared else None,
+        since=since,
         holdout=list(chain(*held_out)),
         warnings=(*_numbered(warnings), *note_on_blocks([*fitted, *held_out])),
         contacts=_numbered(contacts),

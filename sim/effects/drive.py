@@ -152,13 +152,12 @@ class Armature(DriveEffect):
 
     @classmethod
     def plausible_size(cls, target: str, limbs: Limbs) -> float:
-        within = super().plausible_size(target, limbs)
         if limbs.legs or not limbs.inertia:
-            return within
-        # Legged robots are too small to tell how much the rotors of a large machine have.
+            return super().plausible_size(target, limbs)
+        # Legged robots do not tell how much the rotors of a larger or smaller machine have.
         moved = dict(zip(limbs.joints, limbs.inertia, strict=True))
         most = max(moved[one] for one in cls.members_of(target, limbs))
-        return max(within, _REFLECTED_SHARE * most)
+        return _REFLECTED_SHARE * most
 
     def resist(self, spec: mujoco.MjSpec, joint: mujoco.MjsJoint) -> None:
         joint.armature = self.left_of(joint.armature, joint.name)

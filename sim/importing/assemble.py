@@ -169,12 +169,12 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
 
 
 def _with_joint_signs(main: Columns, rules: ImportMap) -> Columns:
-    """The columns with the signs and offsets of [robot]."""
+    """The columns with the signs and offsets of [robot], and the torques of its passive joints."""
     main, robot = dict(main), rules.sections.robot
     if robot is None:
         return main
     joints = joint_names(main)
-    for joint in (*robot.joint_sign, *robot.joint_offset):
+    for joint in (*robot.joint_sign, *robot.joint_offset, *robot.passive):
         if joint not in joints:
             raise SurefootError(f"{rules.path}: [robot] joint {joint!r} has no column q_{joint}")
     for column in main:
@@ -184,6 +184,16 @@ def _with_joint_signs(main: Columns, rules: ImportMap) -> Columns:
             main[column] = robot.joint_sign.get(joint, 1.0) * main[column]
             if prefix in ("q_", "q_des_"):
                 main[column] = main[column] + robot.joint_offset.get(joint, 0.0)
+    for kind in ("tau", "tau_ff"):
+        without = [joint for joint in joints if f"{kind}_{joint}" not in main]
+        if len(without) == len(joints):
+            continue
+        if driven := [joint for joint in without if joint not in robot.passive]:
+            raise SurefootError(
+                f"{rules.path}: [columns] {kind}_{driven[0]} is missing; "
+                "name joints without a drive under [robot] passive"
+            )
+        main |= {f"{kind}_{joint}": np.zeros(len(main["t"])) for joint in without}
     return main
 
 

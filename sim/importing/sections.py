@@ -129,6 +129,8 @@ class RobotTable:
     """By joint, 1 or -1: q = sign * theirs + offset."""
     joint_offset: dict[str, float] = field(default_factory=dict)
     """By joint [rad]."""
+    passive: tuple[Name, ...] = ()
+    """Joints without a drive, whose torques are 0 where no column has them."""
 
     def __post_init__(self):
         if Path(self.name).suffix not in SUFFIXES and Path(self.name).name != self.name:

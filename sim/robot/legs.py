@@ -106,8 +106,8 @@ def _floating_base(model: mujoco.MjModel) -> int:
     free = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)
     if len(free) != 1:
         raise SurefootError(
-            f"expected one free joint, that of the base, found {len(free)}; in an MJCF, "
-            "<freejoint/> lets a body move freely"
+            f"expected one free joint, that of the base, found {len(free)}: a robot that walks has "
+            "<freejoint/> there in an MJCF; logs of a machine without can be imported and traced"
         )
     return int(model.jnt_bodyid[free[0]])
 

@@ -100,6 +100,31 @@ def test_a_hand_is_said_with_its_time_and_the_run_is_not_called_unchanged(known)
     assert 3.3 < begin < 4.1 < 4.4 < end < 5.2
 
 
+def test_what_changed_is_judged_where_nothing_pushes(known):
+    pushes = tuple(np.arange(4.0, 5.5, 0.15))
+    change = find_change([case(61, armature=0.012, friction=0.5, pushes=pushes)], known)
+    assert (change.verdict, of(change)) == ("attributed", [("coulomb_friction", "shoulder")])
+    low, high = change.found[0].interval
+    assert low < 0.5 < high
+    assert change.pushes
+
+
+def test_commands_that_are_delivered_late_are_a_change():
+    def commanded(seed, late=0.0):
+        log, rng = swung(seed=seed, seconds=8.0), np.random.default_rng(seed)
+        rates, phases = rng.uniform(1.0, 6.0, 4), rng.uniform(0.0, 6.0, 4)
+        asked = 0.9 * np.sin(rates * (log.t[:, None] + late) + phases).sum(axis=1)
+        return log_under_model(with_columns(log, {"tau_ff_shoulder": asked}), PENDULUM)
+
+    known = model_error([run_sums(commanded(seed)) for seed in range(3)], PENDULUM.limbs)
+    assert known is not None
+    assert find_change([commanded(10)], known).verdict == "unchanged"
+    change = find_change([commanded(11, late=0.02)], known)
+    assert (change.verdict, of(change)) == ("attributed", [("command_delay", "all")])
+    low, high = change.found[0].interval
+    assert low < 0.02 < high
+
+
 def test_a_shift_of_the_centre_that_a_lost_zero_imitates_has_a_large_least_size(known):
     """Along the pendulum it is told from a zero, across it by little but the second order."""
     least = find_change([case(10, armature=0.012)], known).least

@@ -27,16 +27,27 @@ from surefoot.sim.robot.machine import FixedBase, Modelled, load_machine, machin
 NOISE = {"x": 2.0, "z": 1.0, "shoulder": 0.5, "elbow": 0.3}  # N, N m
 
 
-def test_noisy_torques_are_no_spring_and_half_a_step_is_no_effect(tmp_path):
-    """The rates of semi-implicit Euler are half a step of 1 ms late."""
+@pytest.mark.parametrize("substeps", [4, pytest.param(16, marks=pytest.mark.long)])
+def test_noisy_torques_are_no_spring_and_half_a_step_is_no_effect(tmp_path, monkeypatch, substeps):
+    """The rates of semi-implicit Euler are half a step late, also of a short one."""
+    monkeypatch.setattr("machines.SUBSTEPS", substeps)
     gantry = machine(GANTRY, tmp_path)
     found = trace_logs([moved(gantry, NOISE)], gantry)
     assert found.verdict == "no_residual", summary(found)
     assert found.effects == ()
     (run,) = found.runs
     (lag,) = run.compensated
-    assert (lag.name, lag.value) == ("rate_delay", pytest.approx(0.5e-3, rel=0.05))
-    assert any("rate_delay of +0.5 ms is compensated" in note for note in found.notes)
+    step = 4e-3 / substeps
+    assert (lag.name, lag.value) == ("rate_delay", pytest.approx(0.5 * step, rel=0.05))
+    said = f"rate_delay of {1e3 * lag.value:+.2g} ms is compensated"
+    assert any(said in note for note in found.notes)
+
+
+def test_noisy_torques_of_a_joint_that_rubs_are_no_spring(tmp_path):
+    """Where it sticks, springs show most in the regressor, and fits do not look."""
+    arm = machine(ARM.replace('armature=".1"', 'armature=".1" frictionloss=".3"'), tmp_path)
+    found = trace_logs([moved(arm, {"shoulder": 0.5, "elbow": 0.1}, seconds=40.0)], arm)
+    assert (found.verdict, found.effects) == ("no_residual", ()), summary(found)
 
 
 def test_the_size_of_a_spring_that_noise_alone_gives_is_known(tmp_path):

@@ -13,12 +13,19 @@ from refusals import refused
 from synthetic import without
 
 from surefoot.scenarios.cli.main import main
+from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.trace import long_logs
 from surefoot.scenarios.trace.long_logs import (
     in_blocks,
     read_in_blocks,
 )
-from surefoot.scenarios.trace.run import TraceOptions, trace, trace_logs, unchanged_beside
+from surefoot.scenarios.trace.run import (
+    TraceOptions,
+    trace,
+    trace_files,
+    trace_logs,
+    unchanged_beside,
+)
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.effects.file import load_effects, save_effects
@@ -187,6 +194,11 @@ def test_what_has_changed_stands_out_from_what_unchanged_runs_differ_by(tmp_path
     page = (tmp_path / "new" / "report.html").read_text()
     assert "4 runs of the unchanged machine" in page
     assert "coulomb_friction" in said
+    new = (tmp_path / "new.parquet",)
+    also = TraceSettings(
+        logs=new, out=tmp_path / "other", declared=out / "effects.toml", holdout=new
+    )
+    refused("--holdout: runs are compared with those of", trace_files, also)
     rubs = run(4, armature=0.03, friction=0.5)
     changed = trace_logs([rubs], PENDULUM, TraceOptions(declared=declared, since=since))
     assert (changed.verdict, names(changed)) == ("attributed", [("coulomb_friction", "shoulder")])

@@ -166,6 +166,15 @@ def test_units_signs_and_offsets(folder):
     assert not log.has("ref_v")
 
 
+def test_a_joint_without_a_drive_has_no_torque(folder):
+    edited(folder, "map.toml", 'q_des_knee = { column = "knee", unit = "deg" }', 'q_hook = "knee"')
+    edited(folder, "map.toml", "foot_radius", 'passive = ["hook"]\nfoot_radius')
+    edited(folder, "map.toml", "[motor_law]\nkp = { knee = 20.0 }\nkd = 0.5\n", "")
+    log = import_log(folder, folder / "map.toml")
+    assert log.columns["tau_knee"].any()
+    assert not log.columns["tau_hook"].any()
+
+
 def test_a_map_may_say_how_even_the_ground_is(folder):
     edited(folder, "map.toml", "[contact]", "[ground]\nevenness = 0.0\n\n[contact]")
     assert import_log(folder, folder / "map.toml").meta.model["ground_evenness"] == 0.0
@@ -237,6 +246,7 @@ def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
         ("map.toml", 'unit = "g"', 'unit = "G"', "[columns.accel_x] unit 'G' (allowed: m/s^2, g,"),
         ("map.toml", "FL = 30, ", "", "[contact.off] FL is missing"),
         ("map.toml", "{ knee = -1 }", "{ ankle = -1 }", "[robot] joint 'ankle' has no column"),
+        ("map.toml", "q_knee", 'q_hook = "knee"\nq_knee', "[columns] tau_hook is missing; name"),
         ("map.toml", "kp = { knee", "kp = { ankle", "[motor_law.kp] unknown key 'ankle'"),
         ("map.toml", 'ref_p_y = "y"\n', "", "[reference.columns] ref_p_y is missing"),
         ("map.toml", 'frame = "base"', 'frame = "world"', "[reference] frame must be one of"),
