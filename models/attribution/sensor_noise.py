@@ -29,8 +29,6 @@ from surefoot.sim.sensors.streams import Sensors
 
 _SEED = 20_012
 """Seed of the noise added to readings where their own noise is the floor."""
-COARSE_SHARE = 0.5
-"""Share of rows with a sample of their own below which a reference is interpolated."""
 _MOST_LATE = 0.25
 """Largest remaining clock offset of a logged reference [s]: half a stride."""
 _LATE, _FAR = 1e-3, 0.02
@@ -162,7 +160,7 @@ def reference_sampling(log: Log) -> ReferenceSampling | None:
 
 def _sampling(log: Log) -> ReferenceSampling | None:
     poses = reference_poses(log)
-    every_row = len(poses.t) > COARSE_SHARE * len(log.t)
+    every_row = len(poses.t) == np.count_nonzero(log.ref_ok)
     if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
     intervals = () if every_row else tuple(np.round(np.diff(poses.t, prepend=log.t[0]), 6))
