@@ -53,19 +53,27 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
 
 def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping[Key, float]:
-    """Size [its unit] that the readings' noise alone gives candidates that take loads; without
-    those that it gives none.
+    """Size [its unit] that the readings' noise alone gives candidates, on a fixed base those that
+    take loads; without those that it gives none.
 
     The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
-    fit of one to the other then finds a spring where there is none. As much noise again adds as
-    much again to the product of the two, which is measured here.
+    fit of one to the other then finds a spring where there is none; so does the noise of a
+    reference a low-pass of the IMU. As much noise again adds as much again to the product of the
+    two, which is measured here.
 
     Args:
         cases: the logs under the declared model.
         sigma: noise of each column (W,), by `reading_noise`.
     """
-    by_load = {name for name, kind in known_effects().items() if kind.traced.uses_loads}
-    keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
+    kinds = known_effects()
+    keys = tuple(
+        dict.fromkeys(
+            key
+            for case in cases
+            for key in all_keys(case)
+            if kinds[key[0]].traced.uses_loads or not case.fixed
+        )
+    )
     rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = (linearise(one, (), keys, nuisance=False) for one in (cases, noisy))
