@@ -28,6 +28,7 @@ from surefoot.scenarios.estimate.settings import (
     StartSettings,
     StateSettings,
 )
+from surefoot.sim.importing.report import import_lines
 
 
 @pytest.fixture(scope="module")
@@ -240,6 +241,8 @@ def test_true_contacts_are_left_as_they_are(walks):
 
 def test_a_log_without_contacts_is_told_where_to_take_them_from(walks):
     log = without(walks["v60_class"], "contact_")
+    assert "surefoot info LOG --contacts" in "\n".join(import_lines(log))
+    assert "contacts: none" not in "\n".join(import_lines(walks["v60_class"]))
     found = compare_contacts(log, Robot.for_log(log))
     assert found is not None
     assert found.logged is None
