@@ -132,7 +132,8 @@ class ContactComparison:
             else ("velocity error, expected from its innovations,", "mm/s")
         )
         each = (
-            f"{_milli(one.error)} {unit} {one.contacts.source} (feet stand {100 * one.standing:.0f} %)"
+            f"{_milli(one.error)} {unit} {one.contacts.source} "
+            f"(feet stand {100 * one.standing:.0f} %)"
             for one in self.tried
         )
         t = self.tried[0].contacts.log.t
