@@ -137,7 +137,7 @@ def portrait(robot: Robot) -> Figure:
             if near:  # those behind would be named on top of it
                 name = robot.limbs.legs[leg]
                 below = line[-1] - (0.0, radius)
-                style = {"ha": "center", "va": "top", "color": INK}
+                style = {"ha": "right", "va": "top", "color": INK, "rotation": 30.0}
                 axes.annotate(name, below, (0, -3), textcoords="offset points", **style)
         imu = robot.p_BI[[across, 2]]
         axes.plot(*imu, "s", color=OUTSIDE, markersize=5.0)

@@ -293,7 +293,7 @@ def noise_floor(
         return _floor_of_walks(walks, error, plan)
     sigma = np.maximum(layout.noise(first.log.rate, plan.evenness), reading_noise(cases))
     source = "data sheets of the declared sensors, and the noise of the reference"
-    return NoiseFloor(sigma, (), source, _no_error(sigma, layout))
+    return NoiseFloor(sigma, (), source, _error_of_readings(cases, sigma, layout))
 
 
 def noise_floor_with(
@@ -385,23 +385,33 @@ def _no_error(sigma: np.ndarray, layout: Layout) -> ModelError:
     return ModelError(0, (), np.zeros(0), np.zeros((0, 0)), noise, {})
 
 
+def _error_of_readings(
+    cases: Sequence[LogUnderModel], sigma: np.ndarray, layout: Layout
+) -> ModelError:
+    """A model with the sizes that the noise of readings alone gives effects, for noise sigma (W,)
+    of the columns.
+    """
+    seen = apparent_sizes(cases, sigma)
+    mean = np.array([*seen.values()])
+    covariance = np.diag((APPARENT_SIZE_DOUBT * mean) ** 2)
+    return replace(_no_error(sigma, layout), keys=tuple(seen), mean=mean, covariance=covariance)
+
+
 def _floor_of_readings(cases: Sequence[LogUnderModel], effects: Sequence[Effect]) -> NoiseFloor:
     """The floor by the noise of the readings, with the effects compensated."""
     layout = layout_for(cases[0].robot.limbs)
     sigma = np.maximum(reading_noise(cases, effects), layout.least_noise)
     heights = layout.of("foot_height")
     sigma[heights] = np.hypot(sigma[heights], ground_evenness(cases))
-    error, read = _no_error(sigma, layout), tuple(cases)
+    read = tuple(cases)
     if cases[0].by_feet:
+        error = _no_error(sigma, layout)
         source = (
             "the noise of the readings, and what point feet leave on simulated walks of other "
             "robots, since there is no model of this one"
         )
         return NoiseFloor(sigma, (), source, error, readings=read, levels=POINT_FEET_LEVELS)
-    seen = apparent_sizes(cases, sigma)
-    mean = np.array([*seen.values()])
-    covariance = np.diag((APPARENT_SIZE_DOUBT * mean) ** 2)
-    error = replace(error, keys=tuple(seen), mean=mean, covariance=covariance)
+    error = _error_of_readings(cases, sigma, layout)
     source = "the differences between successive readings"
     return NoiseFloor(sigma, (), source, error, readings=read)
 

@@ -30,8 +30,6 @@ from surefoot.sim.sensors.streams import Sensors
 
 _SEED = 20_012
 """Seed of the noise added to readings where their own noise is the floor."""
-COARSE_SHARE = 0.5
-"""Share of rows with a sample of their own below which a reference is interpolated."""
 _MOST_LATE = 0.25
 """Largest remaining clock offset of a logged reference [s]: half a stride."""
 _LATE, _FAR = 1e-3, 0.02
@@ -56,19 +54,27 @@ def reading_noise(cases: Sequence[LogUnderModel], effects: Sequence[Effect] = ()
 
 
 def apparent_sizes(cases: Sequence[LogUnderModel], sigma: np.ndarray) -> Mapping[Key, float]:
-    """Size [its unit] that the readings' noise alone gives candidates that take loads; without
-    those that it gives none.
+    """Size [its unit] that the readings' noise alone gives candidates, on a fixed base those that
+    take loads; without those that it gives none.
 
     The noise of a torque is in the residual and, through the load, in the candidate's regressor. A
-    fit of one to the other then finds a spring where there is none. As much noise again adds as
-    much again to the product of the two, which is measured here, in the entries that fits use.
+    fit of one to the other then finds a spring where there is none; so does the noise of a
+    reference a low-pass of the IMU. As much noise again adds as much again to the product of the
+    two, which is measured here, in the entries that fits use.
 
     Args:
         cases: the logs under the declared model.
         sigma: noise of each column (W,), by `reading_noise`.
     """
-    by_load = {name for name, kind in known_effects().items() if kind.traced.uses_loads}
-    keys = tuple(dict.fromkeys(key for c in cases for key in all_keys(c) if key[0] in by_load))
+    kinds = known_effects()
+    keys = tuple(
+        dict.fromkeys(
+            key
+            for case in cases
+            for key in all_keys(case)
+            if kinds[key[0]].traced.uses_loads or not case.fixed
+        )
+    )
     rng = np.random.default_rng(_SEED)
     noisy = [_with_more_noise(case, rng) for case in cases]
     before, after = (linearise(one, (), keys, nuisance=False) for one in (cases, noisy))
@@ -164,7 +170,7 @@ def reference_sampling(log: Log) -> ReferenceSampling | None:
 
 def _sampling(log: Log) -> ReferenceSampling | None:
     poses = reference_poses(log)
-    every_row = len(poses.t) > COARSE_SHARE * len(log.t)
+    every_row = len(poses.t) == np.count_nonzero(log.ref_ok)
     if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
     intervals = () if every_row else tuple(np.round(np.diff(poses.t, prepend=log.t[0]), 6))

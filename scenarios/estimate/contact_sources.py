@@ -4,10 +4,12 @@ The leg filter runs with the contacts of each source, all else equal. With a ref
 judges. Without one, the velocity error that is to be expected from its record: the claimed standard
 deviation, times the factor by which sums of innovations exceed theirs
 (`surefoot.estimator.evaluation.innovation_sums`). The innovations alone would favour contacts that
-leave the filter without measurements.
+leave the filter without measurements. The error alone would favour a few sure rows of each stance,
+which are enough for the filter but not for `trace`: of contacts that are about as good, those in
+which the feet stand longest are taken.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeVar, get_args
@@ -51,7 +53,7 @@ _DEBOUNCE = 0.02
 _BLOCKS = 10
 """Number of sections of a log over which the gain must exceed its spread."""
 _CLEAR = 1.5
-"""Least ratio of the errors at which another source is advised."""
+"""Least ratio of the errors at which one source is better than another."""
 _STANDS = 0.2
 """Speed of a foot over the ground below which it stands [m/s]; swinging ones have 1 and more."""
 
@@ -83,6 +85,15 @@ class TriedContacts:
         known = self.squares[np.isfinite(self.squares)]
         return float(np.sqrt(known.mean())) if len(known) else np.inf
 
+    @property
+    def by_threshold(self) -> bool:
+        return "contact" in self.contacts.changes
+
+    @property
+    def standing(self) -> float:
+        """Share of the time in which a foot stands, as a mean over feet."""
+        return float(self.contacts.log.contact.mean())
+
 
 @dataclass(frozen=True)
 class ContactComparison:
@@ -99,18 +110,18 @@ class ContactComparison:
 
     @property
     def better(self) -> LogVariant | None:
-        """The best contacts, where their error is clearly less than with those as logged."""
-        best, logged = self.tried[0], self.logged
+        """The `chosen` contacts, if the least error is clearly less than with those as logged."""
+        best, logged, advised = self.tried[0], self.logged, chosen(self.tried)
         if best is logged or not np.isfinite(best.error):
             return None
         if logged is None or not np.isfinite(logged.error):
-            return best.contacts
+            return advised.contacts
         with np.errstate(divide="ignore", invalid="ignore"):
             gains = 0.5 * np.log(logged.squares / best.squares)
         gains = gains[np.isfinite(gains)]
         clear = logged.error > _CLEAR * best.error and len(gains) > 2
         doubt = 2.0 * gains.std(ddof=1) / np.sqrt(len(gains)) if clear else np.inf
-        return best.contacts if gains.mean() > doubt else None
+        return advised.contacts if gains.mean() > doubt else None
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -120,7 +131,11 @@ class ContactComparison:
             if self.by_reference
             else ("velocity error, expected from its innovations,", "mm/s")
         )
-        each = (f"{_milli(one.error)} {unit} {one.contacts.source}" for one in self.tried)
+        each = (
+            f"{_milli(one.error)} {unit} {one.contacts.source} "
+            f"(feet stand {100 * one.standing:.0f} %)"
+            for one in self.tried
+        )
         t = self.tried[0].contacts.log.t
         first = f"leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
         return f"{first} {', '.join(each)}", *self._motion()
@@ -249,20 +264,37 @@ def compare_contacts(
     every += rules_of(log, robot, shares)
     for k, source in enumerate(every):
         progress(k / len(every))
-        found.append(least(map(tried, source), lambda one: one.error))
+        if of_source := falling(map(tried, source), lambda one: one.error):
+            found.append(chosen(of_source))
     progress(1.0)
     ranked = sorted((one for one in found if one is not None), key=lambda one: one.error)
     return ContactComparison(tuple(ranked), by_reference) if ranked else None
 
 
+def chosen(each: Sequence[TriedContacts]) -> TriedContacts:
+    """Those of the least error; if they are from a threshold, those in which the feet stand longest
+    of all from a threshold whose error is not clearly larger.
+    """
+    best = min(each, key=lambda one: one.error)
+    if not best.by_threshold:
+        return best
+    equal = (one for one in each if one.by_threshold and one.error <= _CLEAR * best.error)
+    return max(equal, key=lambda one: one.standing)
+
+
+def falling(each: Iterable[T | None], cost: Callable[[T], float]) -> list[T]:
+    """Those along which the cost falls; empty where the first one failed."""
+    found: list[T] = []
+    for one in each:
+        if one is None or (found and cost(one) > cost(found[-1])):
+            break
+        found.append(one)
+    return found
+
+
 def least(each: Iterable[T | None], cost: Callable[[T], float]) -> T | None:
     """That up to which the cost falls; None where the first one failed."""
-    best = None
-    for one in each:
-        if one is None or (best is not None and cost(one) > cost(best)):
-            break
-        best = one
-    return best
+    return next(reversed(falling(each, cost)), None)
 
 
 def _by_segments(log: Log, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:

@@ -60,7 +60,7 @@ def import_lines(
         machine, unknown = machine_for_log(log), ""
     except SurefootError as error:
         machine, unknown = None, f"robot: {error}" if log.meta.robot else ""
-    about = (unknown, _radius_line(log, machine), jitter_line(log.t))
+    about = (unknown, _radius_line(log, machine), _contact_line(log, machine), jitter_line(log.t))
     return (
         *notes,
         *(line for line in about if line),
@@ -77,6 +77,14 @@ def _radius_line(log: Log, machine: Machine | None) -> str:
         return ""
     sizes = " and ".join(f"{one:.3g}" for one in sorted(set((1e3 * robot.foot_radius).round(3))))
     return f"feet: a radius of {sizes} mm, of the robot's file; the map has no [robot] foot_radius"
+
+
+def _contact_line(log: Log, machine: Machine | None) -> str:
+    """Where the contacts of a legged robot can be taken from, if it has none; "" otherwise."""
+    legged = log.has("foot") or (machine is not None and machine.legged and log.has("q"))
+    if log.has("contact") or not (legged and log.has("imu")):
+        return ""
+    return "contacts: none; surefoot info LOG --contacts finds what the map's [contact] can be of"
 
 
 def _contradictions(poses: Poses | None, wrong: np.ndarray | None) -> tuple[str, ...]:

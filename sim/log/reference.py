@@ -1,8 +1,9 @@
 """Original samples of a log's reference, with their own times.
 
 A log holds one pose per row, interpolated between the samples of a slower reference: positions
-linearly, attitudes at constant rate. Such a path has kinks at the samples, from which these are
-recovered.
+linearly, attitudes at constant rate. Such a path bends at a row that is a sample, or at the two
+rows beside one, where the lines before and behind meet. A path with a sample in every row bends at
+every row, and its lines do not meet.
 """
 
 from dataclasses import dataclass
@@ -15,10 +16,6 @@ from surefoot.sim.log.log import Log
 
 _KINK = 1e-6
 """Change of velocity between rows that is a kink [m/s]; rounding changes it by 1e-12."""
-_KINK_ROWS = 10
-"""Consecutive rows with a kink from which every row is a sample; a slower reference has a kink at
-two rows per sample, and is straight between. At rest, neither has kinks.
-"""
 
 
 @dataclass(frozen=True)
@@ -42,30 +39,32 @@ class Poses:
 def reference_poses(log: Log) -> Poses:
     """Recover the samples of a log's reference. Raises LogError where it has none.
 
-    If the path has fewer than three kinks, or most are in runs of more than _KINK_ROWS rows, the
-    samples are the measured rows (`ref_ok`).
+    They are the measured rows (`ref_ok`) unless at least half of the rows at which the path bends
+    show a sample.
     """
     t, p, q = log.t, log.ref_p, log.ref_q
     slope = np.diff(p, axis=0) / np.diff(t)[:, None]
-    bent = 1 + np.flatnonzero(np.linalg.norm(np.diff(slope, axis=0), axis=1) > _KINK)
-    groups = np.split(bent, np.flatnonzero(np.diff(bent) > 1) + 1)
-    in_runs = sum(len(one) for one in groups if len(one) > _KINK_ROWS)
-    if len(bent) < 3 or in_runs > 0.5 * len(bent):
-        ok = log.ref_ok
-        return Poses(t[ok], p[ok], q[ok])
-    first = np.array([one[0] for one in groups])
-    last = np.array([one[-1] for one in groups])
-    # The lines before the first and after the last kink intersect at the sample; several samples
-    # within one run of kinks are too close to be separated, and count as one.
-    before, behind = slope[first - 1], slope[last]
-    apart, turn = p[last] - p[first], behind - before
-    span = t[last] - t[first]
+    bent = np.zeros(len(t) + 1, dtype=bool)  # of each row, and of none behind the last
+    bent[1:-2] = np.linalg.norm(np.diff(slope, axis=0), axis=1) > _KINK
+    single = np.flatnonzero(bent & ~np.roll(bent, 1) & ~np.roll(bent, -1))
+    first = np.flatnonzero(bent & np.roll(bent, -1))
+    before, behind = slope[first - 1], slope[first + 1]
+    span, turn = t[first + 1] - t[first], behind - before
+    off = behind * span[:, None] - (p[first + 1] - p[first])
     turned = np.sum(turn**2, axis=1)
-    bent_by = np.where(turned > 0.0, turned, np.inf)  # a leap aside bends back to where it was
-    along = np.sum((behind * span[:, None] - apart) * turn, axis=1) / bent_by
-    at = t[first] + np.clip(along, 0.0, span)
-    ahead = (at - t[first])[:, None]
-    earlier, R = (Rotation.from_quat(q[rows], scalar_first=True) for rows in (first - 1, first))
-    rate = (earlier.inv() * R).as_rotvec() / (t[first] - t[first - 1])[:, None]
-    then = R * Rotation.from_rotvec(rate * ahead)
-    return Poses(at, p[first] + before * ahead, quaternion_from_matrix(then.as_matrix()))
+    ahead = np.sum(off * turn, axis=1) / np.where(turned > 0.0, turned, np.inf)
+    apart = np.linalg.norm(off - turn * ahead[:, None], axis=1)
+    meet = (apart < _KINK * span) & (ahead > 0.0) & (ahead < span)
+    # Where a smooth path has a sample a row, the lines meet between any two.
+    beside = np.flatnonzero(np.diff(first[meet]) == 1)
+    meet[np.flatnonzero(meet)[np.union1d(beside, beside + 1)]] = False
+    if len(single) + 2 * meet.sum() < max(3, 0.5 * bent.sum()):
+        return Poses(t[log.ref_ok], p[log.ref_ok], q[log.ref_ok])
+    rows = np.concatenate([single, first[meet]])
+    order = np.argsort(rows)
+    rows, ahead = rows[order], np.concatenate([np.zeros(len(single)), ahead[meet]])[order]
+    earlier, R = (Rotation.from_quat(q[at], scalar_first=True) for at in (rows - 1, rows))
+    rate = (earlier.inv() * R).as_rotvec() / (t[rows] - t[rows - 1])[:, None]
+    then = R * Rotation.from_rotvec(rate * ahead[:, None])
+    found = p[rows] + slope[rows - 1] * ahead[:, None]
+    return Poses(t[rows] + ahead, found, quaternion_from_matrix(then.as_matrix()))

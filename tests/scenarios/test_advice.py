@@ -14,6 +14,10 @@ from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.advice import advice, likelihood, needs_advice
 from surefoot.scenarios.estimate.contact_sources import (
     AS_LOGGED,
+    ContactComparison,
+    LogVariant,
+    TriedContacts,
+    chosen,
     compare_contacts,
     contact_lines,
     moving_in_contact,
@@ -24,6 +28,7 @@ from surefoot.scenarios.estimate.settings import (
     StartSettings,
     StateSettings,
 )
+from surefoot.sim.importing.report import import_lines
 
 
 @pytest.fixture(scope="module")
@@ -236,10 +241,29 @@ def test_true_contacts_are_left_as_they_are(walks):
 
 def test_a_log_without_contacts_is_told_where_to_take_them_from(walks):
     log = without(walks["v60_class"], "contact_")
+    assert "surefoot info LOG --contacts" in "\n".join(import_lines(log))
+    assert "contacts: none" not in "\n".join(import_lines(walks["v60_class"]))
     found = compare_contacts(log, Robot.for_log(log))
     assert found is not None
     assert found.logged is None
     assert found.better is not None
+
+
+def test_of_contacts_about_as_good_those_that_stand_longest_are_taken(walks):
+    """A few sure rows of each stance are enough for the leg filter, but not for a trace."""
+    true = walks["v60_class"]
+    found = run_filter("leg", true, Robot.for_log(true)).trajectory
+    few = with_contacts(true, true.contact & (np.arange(len(true.t)) % 8 == 0)[:, None])
+    whole, sure, wrong = (
+        TriedContacts(LogVariant(source, {"contact": {}}, log), found, np.full(10, error**2))
+        for source, log, error in (
+            ("from force", true, 1.3),
+            ("from gait", few, 1.0),
+            ("from kinematics", with_contacts(true, true.contact | True), 8.0),
+        )
+    )
+    assert chosen((sure, whole, wrong)) is whole
+    assert ContactComparison((sure, whole, wrong), by_reference=True).better is whole.contacts
 
 
 @pytest.mark.parametrize("lacks", ["gyro_", "q_"])

@@ -6,11 +6,13 @@ import pytest
 from biped import biped, biped_log
 from estimates import metrics_of
 from refusals import refused
+from synthetic import without
 from written import written
 
 from studies.measured import measured_folder
 from surefoot import Robot, Scenario, import_log, run_filter, walk
 from surefoot.extend import Ground, Segment, effect
+from surefoot.models.attribution.sensor_noise import ReferenceSampling, resample_reference
 from surefoot.scenarios.trace.run import trace_logs
 from surefoot.sim.walking.imitation import walking_style
 
@@ -104,6 +106,14 @@ def test_what_one_of_its_legs_lacks_is_traced(robot, log, name, target, size):
 
 def test_it_lacks_nothing_as_declared(log):
     assert trace_logs([log], Robot.for_log(log)).effects == ()
+
+
+def test_the_noise_of_its_reference_is_no_effect(robot, log):
+    """A low-pass of the IMU would be fitted to it, since no simulated walk shows its size."""
+    sampling = ReferenceSampling((0.0007, *[0.01] * 500), 5e-4, 2e-3)
+    seen = resample_reference(without(log, "ref_v_"), sampling, np.random.default_rng(3))
+    found = trace_logs([seen], robot)
+    assert found.effects == (), found.verdict
 
 
 def test_it_does_not_walk_in_simulation(robot):

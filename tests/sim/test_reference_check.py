@@ -256,11 +256,13 @@ def log_of(walk, seen):
     return Log(pd.DataFrame(columns), Meta(400.0))
 
 
-def test_samples_are_found_again_in_a_log_to_the_last_digits():
+@pytest.mark.parametrize("frame", [FRAME, 1 / 200, 1 / 190], ids=["120 Hz", "half", "190 Hz"])
+def test_samples_are_found_again_in_a_log_to_the_last_digits(frame):
+    """Of a reference with dropped frames, and up to half as fast as the log."""
     rng = np.random.default_rng(2)
     walk = motion(12.0, 400.0)
     _, steps = dropped_frames(rng, 11.5)
-    seen = poses(0.1 + FRAME * np.cumsum(steps), noise=2e-4, rng=rng)
+    seen = poses(0.1013 + frame * np.cumsum(steps), noise=2e-4, rng=rng)
     found = reference_poses(log_of(walk, seen))
     # The path ends at the first and the last, so that it bends at neither.
     inner = seen.rows(slice(1, -1))

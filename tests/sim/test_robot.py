@@ -64,7 +64,7 @@ def test_legs_are_named_by_place(robot):
 
 
 def test_home_stands(robot):
-    assert stands(robot.legs, robot.q_home)
+    assert stands(robot.legs, robot.foot_radius, robot.q_home)
     lower, upper = robot.joint_range.T
     assert ((robot.q_home > lower) & (robot.q_home < upper)).all()
 
@@ -112,6 +112,19 @@ def test_names_and_order_in_the_file_do_not_matter(tmp_path):
     robot = odd(tmp_path, odd_robot(CORNERS))
     assert robot.joint_names[:3] == ("h3", "t3", "c3")
     assert robot.joint_names[9:] == ("h0", "t0", "c0")
+
+
+def test_legs_of_unlike_lengths_stand_on_one_ground(tmp_path):
+    text = odd_robot(CORNERS)
+    for hind in ("c0", "c2"):
+        shank = f'<body name="{hind}" pos="0 0 -.'
+        text = text.replace(f'{shank}2">', f'{shank}15">')
+    robot = odd(tmp_path, text)
+    assert np.ptp(robot.feet_I(robot.q_home[None])[0, :, 2]) < 1e-6
+    folded = " ".join(f"{q:.6f}" for q in -robot.q_home.reshape(4, 3)[[3, 1, 2, 0]].ravel())
+    home = f'<keyframe><key name="home" qpos="0 0 .3 1 0 0 0 {folded}"/></keyframe></mujoco>'
+    kept = odd(tmp_path, text.replace("</mujoco>", home))
+    np.testing.assert_allclose(kept.q_home, -robot.q_home, atol=1e-6)
 
 
 def test_a_mesh_foot_is_the_end_of_the_mesh_that_reaches_farthest(tmp_path):
