@@ -59,7 +59,7 @@ def radar_velocity(log: Log, robot: Robot) -> tuple[np.ndarray, np.ndarray, np.n
     there is no world for a radar: the log is measured, or its scenario is not a bundled one.
     """
     if not log.meta.scenario or log.meta.seed is None or log.meta.scenario not in _scenarios():
-        raise SurefootError("needs the world of a bundled scenario for its radar (perceptive)")
+        raise SurefootError("needs a radar, which is simulated on walks of bundled scenarios only")
     sensor = RadarSensor()
     seen = radar(log, Scenario.load(_scenarios()[log.meta.scenario]), robot, sensor)
     angle_noise = sensor.azimuth_noise, sensor.elevation_noise

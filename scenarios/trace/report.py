@@ -27,7 +27,7 @@ from surefoot.sim.robot.machine import Machine
 
 VERDICTS = {
     "attributed": "the model lacks {}; what remains of the residual is noise",
-    "confounded": "the model lacks {}, but these data cannot tell it from other effects",
+    "confounded": "the model lacks {}, but these data do not tell this from other effects",
     "none_of_these": "a residual remains that no effect of the catalogue explains",
     "not_identifiable": "the data cannot identify an effect",
     "no_residual": "the model explains the log down to its noise floor",

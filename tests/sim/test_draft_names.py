@@ -94,6 +94,8 @@ KNOWN = [
     ("quat_wxyz_0", "ref_q", ""),
     ("imu_timestamp", "t", ""),
     ("contact_time_FL", "t", ""),
+    ("elbow_Nm", "tau", ""),
+    ("spd_luff [rpm]", "dq", ""),
 ]
 
 

@@ -24,7 +24,7 @@ def _by_word(said: Mapping[str, str]) -> dict[str, str]:
     return {word: meaning for meaning, words in said.items() for word in words.split()}
 
 
-_HINGES, _SPELT = _by_word(_SAID.pop("hinge")), _by_word(_SAID.pop("spelt"))
+_HINGES, _SPELT, _OF_UNIT = (_by_word(_SAID.pop(one)) for one in ("hinge", "spelt", "of_unit"))
 _WORDS: dict[str, tuple[str, str]] = {
     word: (vote, which)
     for vote, said in _SAID.items()
@@ -137,6 +137,8 @@ def read_name(name: str) -> Named:
         if what == "leg" and not leg and len(words) > 1 and not digits:
             leg, written = which, word
             continue
+        if what == "unit" and word in _OF_UNIT and not (votes["quantity"] or axis):
+            votes["quantity"].append(_OF_UNIT[word])
         if what == "unit" and (votes["quantity"] or axis or votes["time"]) and not digits:
             word = _SPELT.get(word, word)
             unit = f"{unit}/{word}" if unit else word
