@@ -24,7 +24,13 @@ LONGEST_LABEL = 24
 def percent_bar(label: str) -> Iterator[Callable[[float], None]]:
     """Context with a function that takes the completed share of the work, from 0 to 1."""
     with drawn_bar(total=100, desc=label[:LONGEST_LABEL], bar_format=LAYOUT) as bar:
-        yield lambda share: bar.update(100.0 * share - bar.n)
+
+        def show(share: float) -> None:
+            if share > 0.0 and not bar.n:
+                bar.unpause()  # what was compiled before tells nothing of the time left
+            bar.update(100.0 * share - bar.n)
+
+        yield show
 
 
 @contextmanager
