@@ -94,9 +94,14 @@ def sections(found: Trace) -> list[Section]:
         for name, one in found.unseen_channels.items()
     ]
     left = [*beyond_bounds(found), *unexplained_in_words(found)]
-    sizes = [_sized(found, key, size) for key, size in found.least.items()]
+    possible = {k: size for k, size in found.least.items() if size <= _largest(found, k)}
+    hidden = sorted({name for name, _ in found.least.keys() - possible.keys()})
+    sizes = [_sized(found, key, size) for key, size in possible.items()]
     title = "Least changes that would have been named in 95 of 100 such logs"
-    least = _given(title, [], sizes)
+    unseen = (
+        [f"On parts that are not listed, no size shows of {', '.join(hidden)}"] if hidden else []
+    )
+    least = _given(title, unseen, sizes)
     return [
         _verdict(found, where),
         *([Section("What to do next", steps, steps=found.steps)] if found.steps else []),
@@ -208,6 +213,12 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
             row |= {name: f"{x:.1f}" for name, x in deviations.items()}
         rows.append(row)
     return rows
+
+
+def _largest(found: Trace, key: tuple[str, str]) -> float:
+    """The largest size that an effect may have on the machine, in its unit."""
+    name, target = key
+    return max(map(abs, known_effects()[name].bounds_on(found.limbs, target)))
 
 
 def _sized(found: Trace, key: tuple[str, str], size: float) -> dict[str, Any]:
