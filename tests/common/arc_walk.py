@@ -56,7 +56,7 @@ def make_walk(seconds: float) -> Walk:
     rows = np.arange(4, len(t), 5)
     error = rng.normal(0.0, 0.03, (len(rows), 3))
     v_I = np.einsum("nji,nj->ni", R_GI, v_GI)[rows] + error
-    prediction = Prediction(rows, v_I, None)
+    prediction = Prediction(rows, v_I, None, np.full(len(rows), np.nan))
     bounds = Bounds(
         epsilon=np.array([0.05, 0.06, 0.07]), gamma=0.8, level_per_axis=0.8 ** (1 / 3),
         method="conformal", K=20, n=100, observer="0" * 64, R_BI=robot.R_BI, log="none",
