@@ -195,18 +195,15 @@ def all_keys(case: LogUnderModel) -> tuple[Key, ...]:
     there, legged, limbs, keys = {*channels_of(case)}, case.robot.legged, case.robot.limbs, []
     for kind in known_effects().usable()[0].values():
         lacks = case.fixed and "reference" in kind.traced.needs
-        if (
-            not (kind.is_compensated() and kind.traced.by_search)
-            or lacks
-            or not kind.is_compensated_on(case.log)
-        ):
+        if lacks or not (kind.is_compensated() and kind.traced.by_search):
             continue
         if case.by_feet and not kind.traced.on_given_feet:
             continue
         keys += [
             (kind.name, target)
             for target in kind.targets_on(limbs)
-            if there & {*kind.traced_at(target).channels}
+            if kind.is_compensated_on(case.log, target)
+            and there & {*kind.traced_at(target).channels}
             and not (kind.by_torque and {*kind.members_of(target, limbs)} <= {*case.undriven})
             and not (legged is not None and kind.equals_another(target, legged))
         ]

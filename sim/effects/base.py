@@ -273,7 +273,7 @@ class Effect:
         return cls.compensate is not Effect.compensate
 
     @classmethod
-    def is_compensated_on(cls, log: Log) -> bool:
+    def is_compensated_on(cls, log: Log, target: str) -> bool:
         """Whether a log has the columns that `compensate` needs, and those that show loads."""
         loaded = not cls.traced.uses_loads or knows_loads(log)
         return loaded and all(log.has(group) for group in cls.traced.needs)

@@ -200,6 +200,10 @@ def _lag(motor: mujoco.MjsActuator) -> float:
     return TIMESTEP / float(np.expm1(TIMESTEP / motor.dynprm[0]))
 
 
+_OF_JOINTS = {f"contact from {one}" for one in ("torque", "kinematics", "gait")}
+"""Contacts that are computed from the joints, and so have their clock."""
+
+
 class ClockScale(Effect):
     """One stream's clock runs slow against the others: its sample period is longer by this share.
 
@@ -239,6 +243,11 @@ class ClockScale(Effect):
         # Other channels would contain samples of a foot in the air, far outside the linear range;
         # contacts move by whole rows, so a small step would not change them.
         return replace(cls.traced, channels=("contact_timing",), step=10 * cls.traced.step)
+
+    @classmethod
+    def is_compensated_on(cls, log: Log, target: str) -> bool:
+        there = super().is_compensated_on(log, target)
+        return there and (target != "feet" or _OF_JOINTS.isdisjoint(log.meta.derived))
 
     @classmethod
     def shift_in(cls, span: float) -> float:

@@ -123,6 +123,19 @@ def test_channels_and_effects_of_joints_and_bodies_are_left_out(feet):
         compensate_all([effect("foot_rolling", "all", 0.02)], feet, machine_for_log(feet))
 
 
+def test_contacts_have_a_clock_only_if_they_have_a_sensor(feet):
+    def derived(*notes: str) -> Log:
+        return replace(feet, meta=replace(feet.meta, derived=(*feet.meta.derived, *notes)))
+
+    for one in (feet, derived("contact from force")):
+        (case,) = logs_under_model([one], machine_for_log(one), ())
+        assert ("clock_scale", "feet") in all_keys(case)
+    gait = derived("contact from gait")
+    (case,) = logs_under_model([gait], machine_for_log(gait), ())
+    assert ("clock_scale", "feet") not in all_keys(case)
+    assert ("clock_scale", "joints") in all_keys(case)
+
+
 def test_accelerations_need_a_reference_with_velocities(feet):
     kept = [name for name in feet.frame if not str(name).startswith("ref_v_")]
     derived = Log(feet.frame.filter(items=kept), feet.meta, feet.name)
