@@ -146,7 +146,7 @@ def bounds_findings(bounds: Bounds, walks: pd.DataFrame) -> str:
         return size
     tests = walks[(walks["role"] == "test") & walks["bounds"].notna()]
     lost = tests[tests["bounds"] == "lost"]
-    far, far_lost = (np.sum(some["distance"].to_numpy(float) > 1.0) for some in (tests, lost))
+    far, far_lost = (int(np.sum(one["distance"].to_numpy(float) > 1.0)) for one in (tests, lost))
     named = f": {', '.join(lost['walk'])}" if len(lost) else ""
     main = (
         f"Bounds calibrated on {calibrated_on(bounds)} are lost on {len(lost)} of {len(tests)} "
