@@ -90,7 +90,8 @@ def write_loop(
     walk = RecordedWalk(shown, robot, drawn, last.prediction, last.bounds)
     write_recording(out / "loop.rrd", walk, force=True)
     missing = f"Observers are missing: {reason}." if reason else ""
-    words = f"{loop_findings(found, table, [step.name for step in steps])} {missing}".strip()
+    findings = loop_findings(found, table, [step.name for step in steps])
+    words = " ".join(filter(None, (findings, _distrusted(steps), missing)))
     sections = [
         Section("Findings", words, table.filter(regex="^(filter|APE_trans|NEES_pos)")),
         *_pictures(shown, steps, drawn),
@@ -119,6 +120,18 @@ def _rows(steps: Sequence[LoopStep]) -> list[dict[str, Any]]:
             row[f"coverage [%] {step.name}"] = np.mean(held) if held else None
         rows.append(row)
     return rows
+
+
+def _distrusted(steps: Sequence[LoopStep]) -> str:
+    """A sentence: which filters say in which step, on either end, that they are not to be trusted;
+    "" if none does.
+    """
+    lost = {
+        step.name: dict.fromkeys(r.filter for e in step.ends for r in e.results if r.health.lost)
+        for step in steps
+    }
+    said = [f"{', '.join(found)} ({name})" for name, found in lost.items() if found]
+    return f"By their own record not to be trusted are: {'; '.join(said)}." if said else ""
 
 
 def _mean(step: LoopStep, name: str, key: str) -> float | None:

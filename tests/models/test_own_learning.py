@@ -69,8 +69,7 @@ def test_an_own_method_is_offered_calibrates_and_is_compared(tmp_path, learning)
         assert bounds.level_per_axis == pytest.approx(0.9)
         rows, errors = prediction_errors(observer, log, Body())
         assert coverage(errors, bounds).joint > 0.75
-        none = np.zeros(0)
-        walk = CalibratedWalk(log, "calibration", bounds, rows, errors, none)
+        walk = CalibratedWalk(log, "calibration", bounds, rows, errors, np.nan)
         assert every <= set(methods_table(bounds, [walk], []).method)
         assert learning('method = "horizontal"').method == "horizontal"
 
