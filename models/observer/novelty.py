@@ -20,7 +20,9 @@ FEWEST_BLOCKS = 5
 FEWEST_WALKS = 19
 """Least number of training walks: one in 20 further walks is then farther than all of these."""
 RIDGE = 1e-3
-"""Share of each variance that is added to it, since some features hardly vary."""
+"""Share of each variance that is added to it; of features that hardly vary, this share of the mean
+variance counts, so that one that only a single walk moves does not set the unit alone.
+"""
 
 TrainingStates = dict[str, np.ndarray]
 """Normal distribution of blocks (B, 2 F) as `mean` (2 F,), and `whitening` (2 F, 2 F): a block's
@@ -45,12 +47,14 @@ def training_states(walks: Sequence[np.ndarray]) -> TrainingStates:
         others = _distribution(walks[:k] + walks[k + 1 :])
         farthest = max(farthest, float(np.median(distances(others, blocks))))
     known = _distribution(walks)
-    return known | {"whitening": known["whitening"] / farthest}
+    return known | {"whitening": known["whitening"] / farthest} if farthest else {}
 
 
 def _distribution(walks: Sequence[np.ndarray]) -> TrainingStates:
     blocks = np.concatenate(walks)
-    covariance = np.cov(blocks.T) + np.diag(RIDGE * blocks.var(axis=0) + np.finfo(float).tiny)
+    variance = blocks.var(axis=0)
+    ridge = RIDGE * np.maximum(variance, RIDGE * variance.mean()) + np.finfo(float).tiny
+    covariance = np.cov(blocks.T) + np.diag(ridge)
     return {
         "mean": blocks.mean(axis=0),
         "whitening": np.linalg.cholesky(np.linalg.inv(covariance)),
@@ -67,7 +71,8 @@ class Novelty:
 
     def __init__(self, known: TrainingStates, features: int):
         """Start as at the beginning of a walk. Raises ValueError for states of another network."""
-        if known and known["whitening"].shape != (2 * features, 2 * features):
+        shapes = {"mean": (2 * features,), "whitening": (2 * features, 2 * features)}
+        if known and {name: np.shape(value) for name, value in known.items()} != shapes:
             raise ValueError(f"training_states: not of {features} features")
         self._known = known
         self._begun = np.zeros((0, features), np.float32)
@@ -80,7 +85,7 @@ class Novelty:
         seen = np.concatenate((self._begun, features))
         ended = (len(self._begun) + 1 + np.arange(len(features))) // BLOCK
         values = [self._distance]
-        for distance in distances(self._known, blocks_of(seen)):
+        for distance in distances(self._known, blocks_of(seen)) if len(seen) >= BLOCK else ():
             self._blocks = np.append(self._blocks, distance)
             many = len(self._blocks) >= FEWEST_BLOCKS
             values.append(float(np.median(self._blocks)) if many else np.nan)

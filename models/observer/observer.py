@@ -404,6 +404,6 @@ def _from_plain(values: dict[str, Any]) -> Observer:
         if weight.dtype != np.float32 or not np.isfinite(weight).all():
             raise ValueError(f"weights: {name} is not finite and float32")
     for name, value in observer.training_states.items():
-        if name not in ("mean", "whitening") or not np.isfinite(value).all():
-            raise ValueError(f"training_states: {name} is unknown or not finite")
+        if not np.isfinite(value).all():
+            raise ValueError(f"training_states: {name} is not finite")
     return observer

@@ -146,7 +146,7 @@ def advice(
     left = "; not all changes were tried, as each run takes long" * (perf_counter() > until)
     if not mending:
         unlike = before.result.trajectory.unlike
-        far = unlike is not None and unlike[-1] > 1.0
+        far = unlike is not None and bool((unlike[-1:] > 1.0).any())  # empty without an estimate
         return (
             "no single change of contact noise, source of contacts, times of joints and contacts "
             f"or start mends it{left}{LEARN * far}"

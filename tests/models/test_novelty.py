@@ -48,6 +48,19 @@ def test_distances_do_not_depend_on_the_features_units():
     assert found == pytest.approx(distances(known, walks[0]), rel=0.02)  # but for the ridge
 
 
+def test_a_feature_that_one_walk_alone_moves_does_not_hide_other_walks():
+    """As a rectified unit may be, which is zero in all others."""
+    rng = np.random.default_rng(4)
+    walks = [np.hstack((one, np.zeros((len(one), 1)))) for one in drawn(rng, FEWEST_WALKS + 1)]
+    walks[0][:, -1] = rng.uniform(0.0, 0.1, len(walks[0]))
+    far = walks.pop() + np.array([60.0, 0.0, 0.0, 0.0])
+    assert np.median(distances(training_states(walks), far)) > 1.0
+
+
+def test_walks_in_which_no_feature_moves_tell_nothing():
+    assert training_states([np.ones((8, 3))] * FEWEST_WALKS) == {}
+
+
 def test_blocks_are_means_and_deviations():
     x = np.random.default_rng(2).normal(size=(2 * BLOCK + 7, 2))
     found = blocks_of(x)
@@ -97,5 +110,5 @@ def test_an_observer_of_many_walks_knows_another_pace(tmp_path):
         replace(observer, training_states={"mean": np.zeros(2), "whitening": np.eye(2)}).running()
     wrong = replace(observer, training_states=dict(observer.training_states, more=np.zeros(2)))
     wrong.save(tmp_path / "wrong.safetensors")
-    with pytest.raises(ObserverError, match="training_states: more"):
+    with pytest.raises(ObserverError, match="training_states: not of"):
         Observer.load(tmp_path / "wrong.safetensors")

@@ -142,6 +142,15 @@ def test_where_nothing_is_found_the_sizes_that_would_have_been_are_said(robot, m
     assert "Record more to find encoder_offset below 0.12 rad" in words
 
 
+def test_least_changes_that_no_machine_could_have_are_not_listed():
+    least = {("encoder_offset", "FL_thigh"): 0.01, ("link_com", "FL_calf_x"): 62.0}
+    found = replace(result("unchanged"), least=least)
+    (one,) = (x for x in sections(found) if x.heading.startswith("Least changes"))
+    assert pd.DataFrame(one.table)["effect"].tolist() == ["encoder_offset"]
+    assert "link_com" in one.prose
+    assert "encoder_offset" not in one.prose
+
+
 def test_a_channel_for_evaluation_is_not_said_to_be_at_its_floor():
     states = {name: state_of(level) for name, level in CHANNELS.items()}
     assert states["leg_velocity"] == "above its floor"
