@@ -51,7 +51,7 @@ def test_without_a_foot_on_the_ground_the_radar_carries_the_estimate(known, log,
 
 
 def test_a_log_without_a_world_is_left_out_with_the_reason(log, robot):
-    refused("radar_leg: needs the world of a bundled scenario", run_filter, "radar_leg", log, robot)
+    refused("radar_leg: needs a radar", run_filter, "radar_leg", log, robot)
     measured = Log(log.frame, replace(log.meta, scenario=None, seed=None))
     results, left_out = run_all(measured, robot, Learnt(), ["leg", "radar_leg"])
     assert [r.filter for r in results] == ["leg"]
