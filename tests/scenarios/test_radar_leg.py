@@ -55,7 +55,7 @@ def test_a_log_without_a_world_is_left_out_with_the_reason(log, robot):
     measured = Log(log.frame, replace(log.meta, scenario=None, seed=None))
     results, left_out = run_all(measured, robot, Learnt(), ["leg", "radar_leg"])
     assert [r.filter for r in results] == ["leg"]
-    assert "perceptive" in left_out["radar_leg"]
+    assert "needs a radar" in left_out["radar_leg"]
 
 
 def test_a_log_whose_reference_is_valid_nowhere_is_left_out_with_the_reason(known, log, robot):
