@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +33,7 @@ from surefoot.models.observer.odometry import (
 )
 from surefoot.models.observer.settings import INSTALL_TORCH
 from surefoot.models.registry import ARCHITECTURES, LOSSES
-from surefoot.sim.common.errors import SurefootError, check_known, unknown
+from surefoot.sim.common.errors import SurefootError, check_known
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.common.limits import admitted, parse_json
 from surefoot.sim.common.quaternion import check_rotation
@@ -49,10 +49,12 @@ OBSERVER_SCHEMA, TORCH_SCHEMA = 3, 2
 """Versions of the safetensors format, and of the files of torch that surefoot 0.1.0 wrote."""
 WIDEST = 4096
 """Widest layer that a checkpoint may request memory for."""
-INPUTS = ("q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet")
-"""Inputs to train with: groups of a log's columns, and `feet`, computed from q, dq and gyro."""
-EARLIER_INPUTS = ("feet", "tau,feet", "q,dq,tau,feet")
-"""Inputs of observers of version 0.1.0, whose feet move relative to the base: without gyro."""
+SIGNALS = ("q", "dq", "tau", "gyro", "accel", "contact")
+"""What a robot measures, of which inputs are computed."""
+INPUTS = (*SIGNALS, "feet")
+"""Groups of inputs. `feet` is computed from q, dq and, where it is among the inputs, gyro; without,
+velocities are those relative to the base.
+"""
 
 
 Running = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None, np.ndarray]]
@@ -317,18 +319,29 @@ def check_robot(
         )
 
 
-def check_inputs(inputs: tuple[str, ...] | str, known: tuple[str, ...] = INPUTS) -> tuple[str, ...]:
-    """Input groups as a tuple, from "q,dq,tau" too. Raises ObserverError for other subsets."""
-    names = inputs.replace(" ", "") if isinstance(inputs, str) else ",".join(inputs)
-    if names not in known:
-        raise ObserverError(unknown("inputs", names, INPUTS))
-    return tuple(names.split(","))
+def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
+    """Groups in the order of INPUTS, from "q,dq,tau" too. Raises ObserverError for an unknown one,
+    or one that is given twice.
+    """
+    names = inputs.replace(" ", "").split(",") if isinstance(inputs, str) else inputs
+    for name in names:
+        check_known("inputs", name, INPUTS, ObserverError)
+        if names.count(name) > 1:
+            raise ObserverError(f"inputs: {name} is given twice")
+    return tuple(name for name in INPUTS if name in names)
 
 
 def signals(inputs: tuple[str, ...]) -> tuple[str, ...]:
     """Signals of a log from which these inputs are computed."""
     wanted = {"q", "dq", *inputs} if "feet" in inputs else set(inputs)
-    return tuple(name for name in ("q", "dq", "tau", "gyro", "contact") if name in wanted)
+    return tuple(name for name in SIGNALS if name in wanted)
+
+
+def _columns(names: Iterable[str], joints: int, legs: int) -> list[int]:
+    """Number of columns of each group."""
+    # Each leg contributes position and velocity of its contact point.
+    known = {"gyro": 3, "accel": 3, "contact": legs, "feet": 6 * legs}
+    return [known.get(name, joints) for name in names]
 
 
 def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.ndarray) -> np.ndarray:
@@ -338,13 +351,15 @@ def observer_inputs(inputs: tuple[str, ...], known: Kinematics | None, x: np.nda
     """
     if known is None:
         return x
-    others = {"gyro": 3, "contact": len(known.radius)}
-    measured = sum(others.get(name, 0) for name in inputs)
-    joints = (x.shape[1] - measured) // (2 + ("tau" in inputs))
-    q, dq, rest = np.split(x, [joints, 2 * joints], axis=1)
-    omega = rest[:, :3] if "gyro" in inputs else np.zeros((len(x), 3))
-    logged = x if "q" in inputs else rest
-    return np.concatenate((logged, contact_points(known, q, dq, omega)), axis=1)
+    names = signals(inputs)
+    legs = len(known.radius)
+    fixed, with_one = (sum(_columns(names, count, legs)) for count in (0, 1))
+    joints = (x.shape[1] - fixed) // (with_one - fixed)
+    ends = np.cumsum(_columns(names, joints, legs))
+    measured = dict(zip(names, np.split(x, ends[:-1], axis=1), strict=True))
+    omega = measured.get("gyro", np.zeros((len(x), 3)))
+    feet = contact_points(known, measured["q"], measured["dq"], omega)
+    return np.concatenate([*(measured[name] for name in names if name in inputs), feet], axis=1)
 
 
 def check_network(model: str, loss: str) -> None:
@@ -377,14 +392,12 @@ def _flat(observer: Observer) -> dict[tuple[str, str], Any]:
 
 def _from_plain(values: dict[str, Any]) -> Observer:
     observer = msgspec.convert({f.name: values[f.name] for f in fields(Observer)}, Observer)
-    check_inputs(observer.inputs, INPUTS + EARLIER_INPUTS)
+    check_inputs(observer.inputs)
     check_network(observer.model, observer.loss)
     if not 0 < observer.width <= WIDEST:
         raise ValueError(f"width is not within 1 and {WIDEST}")
     joints, legs = len(observer.joints), len(observer.legs.get("radius", ()))
-    # Each leg contributes position and velocity of its contact point.
-    columns = {"gyro": 3, "contact": legs, "feet": 6 * legs}
-    channels = sum(columns.get(name, joints) for name in observer.inputs)
+    channels = sum(_columns(observer.inputs, joints, legs))
     if "feet" in observer.inputs:
         check_leg_geometry(observer.legs, joints)
     elif observer.legs:

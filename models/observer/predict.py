@@ -130,18 +130,16 @@ class ObserverStream:
         self._t, self._x = np.zeros(0), np.zeros((0, 0))
         self._start, self._last = np.nan, -1
 
-    def advance(
-        self, t: np.ndarray, gyro: np.ndarray, readings: dict[str, np.ndarray | None]
-    ) -> Prediction:
+    def advance(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> Prediction:
         """Process the next rows; returns the prediction at those of them that are updates. Raises
         ObserverError where an input is missing.
 
         Args:
             t: stamps (N,) [s].
-            gyro: (N, 3) [rad/s] in I.
-            readings: q, dq and tau (N, J) and contact (N, L), None where not measured.
+            readings: SIGNALS by name, q, dq and tau (N, J), gyro and accel (N, 3) in I and contact
+                (N, L), None where not measured.
         """
-        x = self._inputs(t, readings | {"gyro": gyro})
+        x = self._inputs(t, readings)
         if np.isnan(self._start):
             self._start, self._x = t[0], x[:0]
         before = len(self._t)
@@ -152,6 +150,8 @@ class ObserverStream:
         self._t, self._x = times[kept:], x[kept:]
         v_I, covariance, unlike = self._running(seen)
         if self._moved:
+            if (gyro := readings["gyro"]) is None:
+                raise ObserverError("the gyro is missing, by which velocities are converted")
             mountings = self._observer, self._robot
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
         return Prediction(rows, v_I, covariance, unlike)

@@ -112,7 +112,7 @@ def observer_samples(log: Log, inputs: tuple[str, ...]) -> Samples:
     derives = "dq" in wanted and (DQ_ZERO_PHASE in log.meta.derived or not log.has("dq"))
     read = [name for name in wanted if not (derives and name == "dq")]
     try:
-        log.require(*("imu" if name == "gyro" else name for name in read), *("q" * derives))
+        log.require(*read, *("q" * derives))
     except LogError as error:
         raise ObserverError(f"{error}; the observer reads {','.join(inputs)}") from None
     groups = {name: getattr(log, name) for name in read}

@@ -33,11 +33,11 @@ class TrainSettings:
     also predicts a covariance.
     """
     inputs: str | tuple[str, ...] = "q,dq,tau"
-    """Inputs of the observer, which the log must have: q | q,dq | q,dq,tau | gyro,feet |
-    gyro,contact,feet. q: joint angles, dq: joint velocities, tau: joint torques (the paper's are
-    all three), gyro: angular velocity, contact: of the feet, feet: what each foot at rest says of
-    the velocity, from q, dq, gyro and the declared robot. With several walks, gyro,contact,feet has
-    the smallest errors.
+    """Inputs of the observer, which the log must have, separated by commas. q: joint angles, dq:
+    joint velocities, tau: joint torques (the paper's are these three), gyro: angular velocity,
+    accel: specific force, contact: of the feet, feet: what each foot at rest says of the velocity,
+    from q, dq, gyro and the declared robot. With many walks, tau,gyro,accel,contact,feet has the
+    smallest errors.
     """
     model: str = "gru"
     """Architecture: gru, rnn and lstm are recurrent, mlp and tcn see a window of fixed length;

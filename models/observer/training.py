@@ -67,6 +67,10 @@ TUNED = 0.5
 generalises better than either end (Wortsman et al., Robust fine-tuning of zero-shot models, CVPR
 2022); a few seconds of a walk are fitted too well otherwise.
 """
+BETAS = 0.9, 0.99
+"""Adam's decay of the gradient's moments. A longer memory of the second, 0.999 by default, takes in
+gradients of the first steps, which are much larger.
+"""
 SCHEDULE = ("steps", "batch", "rate", "every", "patience")
 """Settings of the course of a training."""
 TRAINING_FORMAT = "surefoot training state"
@@ -369,7 +373,7 @@ def _begin(
         network.load_state_dict(start.network.state_dict())
     best = _kept_weights(network)
     network.to(device)  # before Adam, which keeps its state where the weights are
-    optimiser = torch.optim.Adam(network.parameters())  # the schedule sets its rate
+    optimiser = torch.optim.Adam(network.parameters(), betas=BETAS)  # the schedule sets its rate
     return Training(network, optimiser, rng, best)
 
 

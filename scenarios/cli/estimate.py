@@ -6,7 +6,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
@@ -46,7 +46,6 @@ def _walk_enough(gamma: str) -> str:
     return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
 
 
-InputNames = Literal["q", "q,dq", "q,dq,tau", "gyro,feet", "gyro,contact,feet"]
 Method = Annotated[options.one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
@@ -66,7 +65,7 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
     out: Path
     """File for the observer (.safetensors)."""
     loss: options.one_of(LOSSES) = "mse"  # pyright: ignore[reportInvalidTypeForm]
-    inputs: Annotated[InputNames, arg(metavar="INPUTS")] = "q,dq,tau"
+    inputs: Annotated[str, arg(metavar="INPUTS")] = "q,dq,tau"
     model: options.one_of(ARCHITECTURES) = "gru"  # pyright: ignore[reportInvalidTypeForm]
     start: Annotated[
         Path | None, arg(name="from", metavar="PATH", help_behavior_hint=options.OPTIONAL)

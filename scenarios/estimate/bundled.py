@@ -24,7 +24,7 @@ from surefoot.estimator.run import (
 from surefoot.estimator.updates.bias_states import PersistentError
 from surefoot.models.calibration.bias_model import BiasModel
 from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.observer.observer import Observer
+from surefoot.models.observer.observer import SIGNALS, Observer
 from surefoot.models.observer.predict import ObserverStream, Prediction, predict
 from surefoot.scenarios.estimate.contract import (
     Beginning,
@@ -55,8 +55,6 @@ def _imu_parameters(accel: float) -> tuple[Parameter, ...]:
     )
 
 
-OBSERVED = ("q", "dq", "tau", "contact")
-"""Readings besides the gyro's that an observer may read."""
 VELOCITY = _imu_parameters(0.03)
 PERSISTENT = (
     *VELOCITY,
@@ -371,9 +369,9 @@ class ObserverFusion(ImuStream):
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update when the observer has a velocity."""
         sample = check_sample(sample, self.filter.t)
-        each = {name: getattr(sample, name) for name in OBSERVED}
+        each = {name: getattr(sample, name) for name in SIGNALS}
         readings = {name: None if x is None else x[None] for name, x in each.items()}
-        seen = self._stream.advance(np.array([sample.t]), sample.gyro[None], readings)
+        seen = self._stream.advance(np.array([sample.t]), readings)
         super().step(sample)
         if not len(seen.rows):
             return None
@@ -395,8 +393,8 @@ class ObserverFusion(ImuStream):
         if np.isnan(self.filter.t) and not more:
             seen = predict(self._observer, log, self._robot)
         else:
-            readings = {name: getattr(log, name) if log.has(name) else None for name in OBSERVED}
-            seen = self._stream.advance(log.t, log.gyro, readings)
+            readings = {name: getattr(log, name) if log.has(name) else None for name in SIGNALS}
+            seen = self._stream.advance(log.t, readings)
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
         velocities = self._fusion.velocities(seen.rows, seen.v_I, seen.covariance, len(imu.t))
         settings = CoverageSettings(self._fusion.gamma)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from surefoot.models.observer.observer import check_inputs, check_network
+from surefoot.models.observer.observer import WIDEST, check_inputs, check_network
 from surefoot.models.observer.settings import TRAIN_DEFAULT
 from surefoot.models.registry import CALIBRATORS, LOSSES
 from surefoot.scenarios.datasets.conditions import PLAIN, Condition, ConditionTable
@@ -23,6 +23,7 @@ from surefoot.sim.scenario_catalog import scenario_file
 from surefoot.sim.walking.batch import known_robot
 
 TrainingSteps = Annotated[int, msgspec.Meta(ge=1, le=10**6)]
+LayerWidth = Annotated[int, msgspec.Meta(ge=1, le=WIDEST)]
 WalkCount = Annotated[int, msgspec.Meta(ge=0, le=10**4)]
 
 
@@ -35,6 +36,7 @@ class Learning:
         inputs: of the observers.
         steps: of the training, at most.
         batch: windows in each of them.
+        width: units in each layer of the network, by default the architecture's own.
         model: one of surefoot.models.observer.architectures.
         method: of calibration, one of surefoot.models.registry.CALIBRATORS.
         walks: to train on, drawn at random (`scenarios.training.many_walks`); 0 trains on the
@@ -46,6 +48,7 @@ class Learning:
     inputs: str = "q,dq,tau"
     steps: TrainingSteps = TRAIN_DEFAULT.steps
     batch: TrainingSteps = TRAIN_DEFAULT.batch
+    width: LayerWidth | None = None
     model: str = "gru"
     method: str = "conformal"
     walks: WalkCount = 0

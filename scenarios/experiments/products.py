@@ -116,7 +116,7 @@ def make_observer(
     Args:
         folder: of the products.
         logs: names and walks to train on.
-        learning: inputs, model, steps and batch.
+        learning: inputs, and network and course of the training.
         loss: "mse" or "gml".
         seed: of weights and windows.
         held_out: names and walks to stop by.
@@ -129,7 +129,8 @@ def make_observer(
 
         walks = (read_walk(walk, name) for name, walk in logs)
         stop_by = [read_walk(walk, name) for name, walk in held_out]
-        chosen = {name: getattr(learning, name) for name in ("inputs", "model", "steps", "batch")}
+        names = "inputs", "model", "steps", "batch", "width"
+        chosen = {name: getattr(learning, name) for name in names}
         settings = TrainSettings(loss=loss, seed=seed, **chosen)
         observer = train(walks, None, settings, partial=state, held_out=stop_by)
         observer.save(path, force=True)
@@ -150,6 +151,7 @@ def learning_choices(learning: Learning) -> dict[str, Any]:
     return {
         "inputs": learning.inputs,
         "steps": [learning.steps, learning.batch],
+        "width": learning.width,
         "model": [learning.model, code_digest(ARCHITECTURES[learning.model])],
     }
 

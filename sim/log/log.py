@@ -119,8 +119,9 @@ class Log:
     def require(self, *groups: str) -> None:
         """Raise LogError naming the groups and columns that are missing.
 
-        Groups: imu, q, dq, tau, commands (or q_des, dq_des, tau_ff individually), contact, force,
-        foot, force_xyz, reference, ref_v, truth; a column `x_<name>` is a group by itself.
+        Groups: imu (or gyro, accel individually), q, dq, tau, commands (or q_des, dq_des, tau_ff
+        individually), contact, force, foot, force_xyz, reference, ref_v, truth; a column `x_<name>`
+        is a group by itself.
         """
         missing = {group: self._missing(group) for group in groups}
         lacking = [f"{group} ({_shorten(names)})" for group, names in missing.items() if names]

@@ -43,6 +43,8 @@ def _axes(name: str, axes: str = "xyz") -> tuple[str, ...]:
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "imu": _axes("gyro") + _axes("accel"),
+    "gyro": _axes("gyro"),
+    "accel": _axes("accel"),
     "q": ("q_<joint>",),
     "dq": ("dq_<joint>",),
     "tau": ("tau_<joint>",),

@@ -49,7 +49,7 @@ RULES: tuple[Rule, ...] = (
     joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.torque_signs,
     loads.weight_carried,
 )  # fmt: skip
-_GROUPS = {"gyro": "imu", "accel": "imu", "ref": "reference"}
+_GROUPS = {"ref": "reference"}
 """Group of columns of a log by what a rule needs, where it has another name."""
 
 
