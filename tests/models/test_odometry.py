@@ -10,7 +10,12 @@ from synthetic import Body, synthetic_walk
 
 from surefoot.models.observer.data import prepare
 from surefoot.models.observer.network import Network
-from surefoot.models.observer.observer import Observer, ObserverError, observer_inputs
+from surefoot.models.observer.observer import (
+    Observer,
+    ObserverError,
+    check_inputs,
+    observer_inputs,
+)
 from surefoot.models.observer.odometry import STILL, Kinematics, contact_points, leg_geometry
 from surefoot.models.observer.predict import predict, prediction_errors
 from surefoot.models.observer.samples import body_velocity, observer_samples
@@ -106,6 +111,20 @@ def test_an_untrained_network_is_plain_odometry(drawing):
     assert v == pytest.approx(-u.reshape(-1, 4, 3).mean(axis=1), abs=1e-4)
 
 
+def test_inputs_are_the_groups_of_the_log_in_their_order():
+    log = walk(3, 12)
+    inputs = check_inputs("feet,contact,accel,gyro,tau")
+    assert inputs == ("tau", "gyro", "accel", "contact", "feet")
+    kinematics = Kinematics.of(leg_geometry(ROBOT, log.joints), ROBOT)
+    x = observer_inputs(inputs, kinematics, observer_samples(log, inputs).x)
+    alone = {name: observer_samples(log, (name,)).x for name in inputs[:-1]}
+    feet = ("gyro", "feet")
+    alone["feet"] = observer_inputs(feet, kinematics, observer_samples(log, feet).x)[:, 3:]
+    np.testing.assert_array_equal(x, np.hstack([alone[name] for name in inputs]))
+    assert alone["tau"].any()
+    assert alone["accel"].any()
+
+
 @pytest.mark.parametrize(("speed", "share"), [(0.0, 0.0), (STILL, 0.5), (3.0 * STILL, 0.9)])
 def test_corrections_fade_as_body_and_legs_come_to_rest_in_any_posture(speed, share):
     """With velocities of the soles that cancel, the output is the correction's share."""
@@ -131,9 +150,8 @@ def test_corrections_fade_as_body_and_legs_come_to_rest_in_any_posture(speed, sh
 def test_the_loop_and_the_disk_give_the_whole_log(model, loss, tmp_path):
     log = walk(3, 12)
     plan = TrainSettings(steps=6, batch=2, every=3)
-    observer = train(
-        log, settings=replace(plan, inputs="gyro,contact,feet", loss=loss, model=model)
-    )
+    inputs = "tau,gyro,accel,contact,feet"
+    observer = train(log, settings=replace(plan, inputs=inputs, loss=loss, model=model))
     observer.save(tmp_path / "o.safetensors")
     loaded = Observer.load(tmp_path / "o.safetensors")
     assert loaded.hash == observer.hash
