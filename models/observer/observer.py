@@ -104,8 +104,8 @@ class Observer:
         seed: of the training.
         rate: of the inputs [Hz].
         rmse: on the validation rows of the training logs (3,) [m/s].
-        errors: at all rows with a measured reference of these logs (M, 3) [m/s], for comparison
-            with errors elsewhere.
+        errors: at rows with a measured reference of these logs (M, 3) [m/s], evenly spaced, for
+            comparison with errors elsewhere.
         causal_dq: whether the joint velocities were derived from q.
         legs: geometry of the robot from which `feet` is computed; empty without `feet`.
         training_states: distribution of the network's features in the training walks; empty for too

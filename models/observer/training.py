@@ -71,6 +71,8 @@ BETAS = 0.9, 0.99
 """Adam's decay of the gradient's moments. A longer memory of the second, 0.999 by default, takes in
 gradients of the first steps, which are much larger.
 """
+MOST_ERRORS = 20_000
+"""Errors that an observer keeps: enough for their distribution, in half a megabyte."""
 SCHEDULE = ("steps", "batch", "rate", "every", "patience")
 """Settings of the course of a training."""
 TRAINING_FORMAT = "surefoot training state"
@@ -398,7 +400,7 @@ def _score(
 
 @torch.no_grad()
 def _final(network: Network, dataset: Dataset) -> tuple[np.ndarray, TrainingStates]:
-    """Errors (M, 3), m/s, at all measured rows of all logs, and the states on these."""
+    """Errors (M, 3), m/s, at measured rows of all logs, evenly spaced, and the states."""
     errors, blocks = [], []
     for log in dataset.logs:
         x, measured = log.x[:, None], log.train | log.validation
@@ -406,7 +408,8 @@ def _final(network: Network, dataset: Dataset) -> tuple[np.ndarray, TrainingStat
         outputs = network.outputs(x, features)[:, 0, :3]
         errors.append((outputs - log.y)[measured].double().numpy() * dataset.y_scale)
         blocks.append(blocks_of(features[:, 0].numpy()))
-    return np.concatenate(errors), training_states(blocks)
+    every = -(-sum(map(len, errors)) // MOST_ERRORS)
+    return np.concatenate(errors)[::every], training_states(blocks)
 
 
 def _warm_cosine(done: float) -> float:

@@ -7,6 +7,7 @@ import pytest
 import torch
 from synthetic import Body
 
+from surefoot.models.observer import training
 from surefoot.models.observer.architectures import BiGRU
 from surefoot.models.observer.network import Network, torch_features
 from surefoot.models.observer.observer import Observer, ObserverError
@@ -110,3 +111,12 @@ def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):
 def test_training_errors_are_kept_with_the_observer(mse_observer, walks):
     _, errors = prediction_errors(mse_observer, walks["fit"], Body())
     assert mse_observer.errors == pytest.approx(errors, abs=1e-6)
+
+
+def test_of_many_training_errors_every_nth_is_kept(walks, monkeypatch):
+    monkeypatch.setattr(training, "MOST_ERRORS", 700)
+    observer = train(walks["fit"], Body(), TrainSettings(steps=2, every=2))
+    _, errors = prediction_errors(observer, walks["fit"], Body())
+    every = -(-len(errors) // 700)
+    assert every > 1
+    assert observer.errors == pytest.approx(errors[::every], abs=1e-6)
