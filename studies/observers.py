@@ -44,6 +44,8 @@ class ObserverCase:
     walks: int
     seed: int
     steps: int
+    batch: int
+    width: int | None
 
 
 @dataclass(frozen=True)
@@ -53,14 +55,18 @@ class ObserverStudy:
     out: OutputFolder
     robot: str = "spot_class"
     seeds: int = 3
-    inputs: tuple[str, ...] = ("q,dq,tau", "gyro,contact,feet")
-    """Inputs to compare: the paper's, and those recommended."""
+    inputs: tuple[str, ...] = ("q,dq,tau", "gyro,contact,feet", "tau,gyro,accel,contact,feet")
+    """Inputs to compare: the paper's, those of a robot without torques, and those recommended."""
     walks: tuple[int, ...] = (1, 4, 16, 48)
     """Numbers of walks to train on."""
     models: tuple[str, ...] = tuple(ARCHITECTURES)
     """Architectures: the first on all numbers of walks and inputs, all on the last but one."""
     steps: int = TrainSettings.steps
     """Training steps, the same for all networks."""
+    batch: int = 12
+    """Windows in each step."""
+    width: int | None = 96
+    """Units of the first architecture; the others have their own."""
     data: Path | None = None
     """Folder of finished trainings; by default `trainings` in the output folder."""
     page: Path | None = None
@@ -76,9 +82,13 @@ class ObserverStudy:
         for seed in range(self.seeds):
             for count in self.walks:
                 for inputs in self.inputs:
-                    yield ObserverCase(inputs, self.models[0], count, seed, self.steps)
+                    yield self._case(inputs, self.models[0], count, seed)
             for model in self.models[1:]:
-                yield ObserverCase(self.inputs[-1], model, self.walks[-2], seed, self.steps)
+                yield self._case(self.inputs[-1], model, self.walks[-2], seed)
+
+    def _case(self, inputs: str, model: str, walks: int, seed: int) -> ObserverCase:
+        width = self.width if model == self.models[0] else None
+        return ObserverCase(inputs, model, walks, seed, self.steps, self.batch, width)
 
 
 def observer_study(study: ObserverStudy) -> list[Section]:
@@ -132,7 +142,8 @@ def _sections(study: ObserverStudy, found: pd.DataFrame, counts: dict[str, int])
         Section(
             "Setting",
             f"Observers ({study.models[0]}) of {study.robot} are trained for at most {study.steps} "
-            "steps on walks drawn as `surefoot train --walks` draws them, stopped by "
+            f"steps of {study.batch} windows on walks drawn as `surefoot train --walks` draws "
+            "them, stopped by "
             f"{counts['held_out']} others, and tested on {counts['test']} that no training has "
             "seen. Each walk has equal weight. Errors are by "
             f"{study.seeds} seed(s) of the training: of several, mean and standard deviation.",
@@ -169,7 +180,8 @@ def _trained_and_tested(
 ) -> dict[str, object]:
     """Train and test one observer: its size, CPU time and RMSE on the tests."""
     started = process_time()
-    settings = TrainSettings(inputs=one.inputs, seed=one.seed, model=one.model, steps=one.steps)
+    course = {key: value for key, value in vars(one).items() if key != "walks"}
+    settings = TrainSettings(**course)
     observer = train(walks[: one.walks], None, settings, held_out=held_out)
     cpu = process_time() - started
     squares = [(prediction_errors(observer, log)[1] ** 2).mean(axis=0) for log in test]
