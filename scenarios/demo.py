@@ -42,7 +42,7 @@ DEMO_SPACE = 1e8
 """Bytes that the folder of a demo takes, and a fifth more."""
 ROBOT = "spot_class"
 LEARNING = WalksSettings(walks=8, robot=ROBOT)
-TRAINING = TrainSettings(inputs="gyro,contact,feet", steps=1200)
+TRAINING = TrainSettings(inputs="tau,gyro,accel,contact,feet", steps=1200)
 
 UNDECLARED: tuple[tuple[str, tuple[str, ...], tuple[float, float]], ...] = (
     ("encoder_offset", ("FL_thigh", "FR_calf", "RL_calf", "RR_thigh"), (0.015, 0.05)),
