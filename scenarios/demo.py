@@ -19,7 +19,7 @@ from surefoot.scenarios.datasets.kept_walks import DrawnWalk
 from surefoot.scenarios.estimate.inputs import with_effects
 from surefoot.scenarios.estimate.learning import learn
 from surefoot.scenarios.estimate.run import Learnt
-from surefoot.scenarios.first_use import compile_filters
+from surefoot.scenarios.first_use import COMPILATIONS
 from surefoot.scenarios.reporting.html import Picture, Section
 from surefoot.scenarios.reporting.observer_errors import error_section, mixing_curve
 from surefoot.scenarios.reporting.tables import in_terminal
@@ -79,11 +79,11 @@ def _run(out: Path, seed: int) -> tuple[pd.DataFrame, Trace, Effect]:
     """The table, the trace, and the effect it should have found; all files are in `out`."""
     robot = Robot.load(ROBOT)
     drawn = _as_walked(robot, seed)
-    # The second worker is started only if the first is still compiling when the walks are done.
     with processes(2) as pool:
         assert pool is not None
         # On a fresh machine this process has the kernels of the walks to compile meanwhile.
-        submitted(pool, (compile_filters,))
+        for compiled in COMPILATIONS:
+            submitted(pool, (compiled,))
         with percent_bar("walking: walk") as progress:
             log = replace(drawn.simulated(progress), name="walk")
         log.write(out / "logs" / "walk.parquet")

@@ -26,7 +26,11 @@ event.register("numba:compile", Count())
 for name, times in count.items():
     print(times, name)
 """
-FILTERS = "from surefoot.scenarios.first_use import compile_filters\ncompile_filters()"
+FILTERS = """
+from surefoot.scenarios.first_use import COMPILATIONS
+for compiled in COMPILATIONS:
+    compiled()
+"""
 ESTIMATES = """
 import numpy as np
 from surefoot.estimator.core.state import NavState
@@ -69,4 +73,4 @@ def test_filters_are_compiled_meanwhile_only_where_the_cache_lacks_them(monkeypa
     monkeypatch.setattr(first_use, "submitted", lambda pool, task: tasks.append(task))
     with pytest.raises(ValueError, match="meanwhile"), first_use.filters_compiled_meanwhile():
         raise ValueError("meanwhile")
-    assert tasks == ([(first_use.compile_filters,)] if lacking else [])
+    assert tasks == ([(one,) for one in first_use.COMPILATIONS] if lacking else [])
