@@ -174,7 +174,9 @@ def _sampling(log: Log) -> ReferenceSampling | None:
     if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
     intervals = () if every_row else tuple(np.round(np.diff(poses.t, prepend=log.t[0]), 6))
-    noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
+    # Rows that are interpolated between unknown samples share noise with the next one.
+    apart = poses.rows(slice(None, None, 2)) if every_row else poses
+    noise = reference_noise(log.t, log.gyro, log.accel, apart) if log.has("imu") else None
     if noise is None:
         return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
     return ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
