@@ -212,7 +212,13 @@ def test_noise_of_samples_hardly_slower_than_the_rows_is_not_underrated(log):
     true = ReferenceSampling((0.0025,), 0.3e-3, 1e-3)
     seen = resample_reference(log, true, np.random.default_rng(4))
     names = [n for n in seen.frame if str(n).startswith("ref_v")]
-    found = reference_sampling(type(seen)(seen.frame.drop(columns=names), seen.meta, seen.name))
+    frame = seen.frame.drop(columns=names)
+    found = reference_sampling(type(seen)(frame, seen.meta, seen.name))
     assert found is not None
     assert found.intervals == ()
     assert found.angle == pytest.approx(np.sqrt(2 / 3) * true.angle, rel=0.15)  # of a mean row
+    imported = replace(seen.meta, model=seen.meta.model | {"reference_rate": 400.0})
+    found = reference_sampling(type(seen)(frame, imported, seen.name))
+    assert found is not None
+    assert found.intervals == true.intervals
+    assert found.angle == pytest.approx(true.angle, rel=0.15)
