@@ -19,7 +19,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
-from surefoot.sim.importing.reference import REFERENCE_RATE
+from surefoot.sim.importing.reference import REFERENCE_SAMPLES
 from surefoot.sim.importing.reference_check import (
     FEWEST_SAMPLES,
     check_reference,
@@ -181,12 +181,14 @@ def _sampling(log: Log) -> ReferenceSampling | None:
     if noise is None:
         return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
     found = ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
-    rate = log.meta.model.get(REFERENCE_RATE, log.rate)
-    if not every_row or rate >= log.rate:
+    start, step = log.meta.model.get(REFERENCE_SAMPLES, (0.0, 0.0))
+    if not every_row or step * log.rate < 1.0 + 1e-3:
         return found
+    then = np.arange((start - log.t[0]) % step, log.t[-1] - log.t[0], step)
+    between = tuple(np.round(np.diff(then, prepend=0.0), 6))
     # The mean square of a row between two samples is two thirds of theirs.
     more = np.sqrt(1.5)
-    return ReferenceSampling((1.0 / rate,), more * found.position, more * found.angle, found.stamp)
+    return ReferenceSampling(between, more * found.position, more * found.angle, found.stamp)
 
 
 def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Generator) -> Log:
