@@ -216,8 +216,9 @@ class Sensing:
         for effect in made.effects:
             self._mounted = effect.alter_mounting(self._mounted)
         self._sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
-        self._errors = SensorErrors(self._sensors, rng, (rows, len(JOINTS), len(LEGS)), rate)
-        self._contact = ContactSwitch(self._sensors, rng, robot.mass * GRAVITY, rate)
+        shape, weight = (rows, len(JOINTS), len(LEGS)), robot.mass * GRAVITY
+        self._errors = SensorErrors(self._sensors, rng, shape, rate, weight)
+        self._contact = ContactSwitch(self._sensors, rng, weight, rate)
         # With the legs and soles of the simulated world, effects included, for the truth.
         tree = find_legs(made.world.model, robot.name)
         self._as_simulated = replace(robot, legs=tree.constants, foot_radius=tree.foot_radius)

@@ -18,12 +18,14 @@ class Found:
         effect: with its size.
         interval: 95 % interval of its size.
         excess: its size in standard deviations by noise and the model's error.
+        least: size from which it would have been named [its unit].
         agreement: its size in standard deviations between blocks of the logs.
     """
 
     effect: Effect
     interval: tuple[float, float]
     excess: float = np.nan
+    least: float = np.nan
     agreement: float = np.nan
 
 

@@ -556,7 +556,7 @@ def least_named(
     deviation: np.ndarray | float,
     prior: np.ndarray | float,
     price: np.ndarray | float,
-    excess: float,
+    excess: np.ndarray | float,
 ) -> np.ndarray:
     """Sizes (C,) whose evidence reaches its price and which exceed their standard deviations (C,)
     by `excess`, for standard deviations of their prior (C,).
@@ -961,16 +961,24 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
     of_model = stdtrit(runs - 1, 0.975) ** 2 if runs > 1 else 1.96**2
     square = 1.96**2 * (noise + state.problem.unknown[at] ** 2)
     half = np.sqrt(square + of_model * np.maximum(both - noise, 0.0))
-    half += state.bias(at, np.sqrt(both))
+    bias = state.bias(at, np.sqrt(both))
+    half += bias
+    deviations = np.hypot(np.sqrt(both), state.problem.unknown[at])
+    excess = np.maximum(np.abs(chosen.sizes) - bias, 0.0) / deviations
+    prior, price = state.problem.prior[at], state.problem.price[at]
+    least = bias + least_named(deviations, prior, price, state.least_excess_of(at))
     blocks = chosen.between_blocks if len(chosen.effects) else ()
     found = [
         Found(
             one,
             (one.value - h, one.value + h),
-            excess=abs(one.value) / np.sqrt(variance),
+            excess=float(ratio),
+            least=float(smallest),
             agreement=abs(one.value) / max(block, 1e-300),
         )
-        for one, h, variance, block in zip(chosen.effects, half, both, blocks, strict=True)
+        for one, h, ratio, smallest, block in zip(
+            chosen.effects, half, excess, least, blocks, strict=True
+        )
     ]
     return tuple(sorted(found, key=lambda one: -one.excess))
 

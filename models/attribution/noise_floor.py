@@ -46,9 +46,10 @@ from surefoot.sim.gait.options import MEASURED_GAIT, PLAIN_GAIT, GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import Log
 from surefoot.sim.log.schema import group_columns
+from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors
+from surefoot.sim.sensors.streams import SLOWEST, Sensors
 from surefoot.sim.walk import walk
 from surefoot.sim.walking.imitation import PIECE, body_twists
 
@@ -249,7 +250,8 @@ def noise_floor(
 
     Each of a few short walks follows a section of the reference's body velocities, on ground as
     uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
-    about as rough as the logs'. Joints are as noisy. Seeds are fixed, so the floor is a
+    about as rough as the logs'. Joints are as noisy, and there are as many rows a second, up to
+    those of the simulation. Seeds are fixed, so the floor is a
     function of the logs. A section on which the robot falls is repeated at lower speed. For a robot
     that cannot walk at all the floor is the sensors' noise by their data sheets and that of the
     reference, for a machine on a fixed base the noise of its readings, and for one that is known by
@@ -271,7 +273,7 @@ def noise_floor(
         evenness=max(ground_evenness(cases), _seen_evenness(cases)),
         slippery=slippery,
         gait=PLAIN_GAIT,
-        sensors=Sensors(),
+        sensors=_sensors_at(min(case.log.rate for case in cases)),
         sampling=reference_sampling(first.log),
         ground=tuple(ground),
         effects=(),
@@ -286,7 +288,7 @@ def noise_floor(
         if rougher and (in_measured_gait := _floor_walks(rough)):
             plan, walks = rough, in_measured_gait
     if walks:
-        plan = replace(plan, sensors=_sensors_of(cases, walks))
+        plan = replace(plan, sensors=_sensors_of(cases, walks, plan.sensors))
         walks = _floor_walks(plan)
     if walks:
         error = _error_of(plan) or _no_error(_noise_of(walks), layout)
@@ -438,9 +440,18 @@ def _roughness(cases: Sequence[LogUnderModel]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(bends) ** 2)))
 
 
-def _sensors_of(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> Sensors:
+def _sensors_at(rate: float) -> Sensors:
+    """Sensors of a log at this rate [Hz], or with a row in each step of the simulation."""
+    rows = max(float(round(rate)), SLOWEST)
+    return Sensors(rate=rows if rows < 1.0 / TIMESTEP else 0.0)
+
+
+def _sensors_of(
+    cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk], usual: Sensors
+) -> Sensors:
     """Sensors by which the joints' readings in walks are as noisy as those in the logs. What is
-    added is a whole multiple of the data sheet's noise or, of angles, of the encoder's steps.
+    added to the usual ones is a whole multiple of the data sheet's noise or, of angles, of the
+    encoder's steps.
 
     Noise is judged by the smaller fourth differences, on which impacts and motion have little
     influence, of rows as far apart in walks as in logs.
@@ -454,7 +465,7 @@ def _sensors_of(cases: Sequence[LogUnderModel], walks: Sequence[FloorWalk]) -> S
         smaller = np.sort(np.abs(bends), axis=0)[: round(SMALLER * len(bends))]
         return float(np.mean(smaller**2)) / OF_SMALLER
 
-    usual, found = Sensors(), {}
+    found = {}
     for group, name, unit in (
         ("q", "encoder_noise", usual.encoder_step),
         ("dq", "velocity_noise", usual.velocity_noise),

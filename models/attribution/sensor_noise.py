@@ -19,6 +19,7 @@ from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.common.series import white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
+from surefoot.sim.importing.reference import REFERENCE_SAMPLES
 from surefoot.sim.importing.reference_check import (
     FEWEST_SAMPLES,
     check_reference,
@@ -174,10 +175,20 @@ def _sampling(log: Log) -> ReferenceSampling | None:
     if len(poses.t) < FEWEST_SAMPLES or (every_row and log.has("ref_v")):
         return None
     intervals = () if every_row else tuple(np.round(np.diff(poses.t, prepend=log.t[0]), 6))
-    noise = reference_noise(log.t, log.gyro, log.accel, poses) if log.has("imu") else None
+    # Rows that are interpolated between unknown samples share noise with the next one.
+    apart = poses.rows(slice(None, None, 2)) if every_row else poses
+    noise = reference_noise(log.t, log.gyro, log.accel, apart) if log.has("imu") else None
     if noise is None:
         return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
-    return ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
+    found = ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
+    start, step = log.meta.model.get(REFERENCE_SAMPLES, (0.0, 0.0))
+    if not every_row or step * log.rate < 1.0 + 1e-3:
+        return found
+    then = np.arange((start - log.t[0]) % step, log.t[-1] - log.t[0], step)
+    between = tuple(np.round(np.diff(then, prepend=0.0), 6))
+    # The mean square of a row between two samples is two thirds of theirs.
+    more = np.sqrt(1.5)
+    return ReferenceSampling(between, more * found.position, more * found.angle, found.stamp)
 
 
 def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Generator) -> Log:

@@ -201,7 +201,6 @@ def channel_row(name: str, level: Mapping[str, Any]) -> dict[str, Any]:
 
 def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
     """One row per effect, with as many digits as distinguish the ends of its interval."""
-    least = {one.key: f"{one.least:.3g}" for candidates in found.rounds for one in candidates}
     rows = []
     for f in ones:
         key = f.effect.name, f.effect.target
@@ -209,7 +208,7 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
         row |= {"low": f"{f.interval[0]:.4g}", "high": f"{f.interval[1]:.4g}"}
         if np.isfinite(f.excess):
             deviations = {"standard deviations": f.excess, "between blocks": f.agreement}
-            row |= {"named from": least.get(key)}
+            row |= {"named from": f"{f.least:.3g}"}
             row |= {name: f"{x:.1f}" for name, x in deviations.items()}
         rows.append(row)
     return rows

@@ -16,6 +16,7 @@ from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
     REFERENCE_OFFSET,
+    REFERENCE_SAMPLES,
     imu_poses,
     reference_offset,
     unit_quaternions,
@@ -98,6 +99,8 @@ class RawRecording:
             main = with_reference(main, poses.rows(~wrong), str(rules.path))
             offset = reference_offset(rules, self.name)
             model = model | ({REFERENCE_OFFSET: offset} if offset else {})
+            step = round(1.0 / _rate(poses.t), 6)
+            model = model | {REFERENCE_SAMPLES: [round(float(poses.t[0]), 6), step]}
         joints = joint_names(main)
         law = _motor_law(rules, joints)
         if torques := _torques_by_law(main, joints, law):

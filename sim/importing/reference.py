@@ -25,6 +25,8 @@ _UNIT_TOLERANCE = 1e-2
 """Largest deviation of a quaternion's norm from one, which rounding explains."""
 REFERENCE_OFFSET = "reference_offset"
 """Key of a log's `meta.model`: clock offset [s] with which its reference was imported."""
+REFERENCE_SAMPLES = "reference_samples"
+"""The same: time of the first sample of its reference and usual interval between them [s]."""
 
 
 def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[Poses, list[str]]:

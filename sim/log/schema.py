@@ -150,6 +150,7 @@ class Meta:
         model: properties of the robot from an import map, which override the MJCF (p_BI in m, q_BI
             as w, x, y, z, foot_radius in m, feet: body or site by leg), and of its ground
             (ground_evenness in m); `reference_offset`, the clock offset of its reference [s];
+            `reference_samples`, the time of its first sample and the interval between them [s];
             `log_name`, its name in a file that is called aligned;
             `file`, the model's file if it has no known name (`sim.robot.catalog`); `ground`,
             if it includes height fields from a file (`sim.ground.ground_metadata`).
@@ -191,6 +192,7 @@ class _Model:
     foot_radius: float | tuple[float, ...] | None = None
     ground_evenness: float | None = None
     reference_offset: float | None = None
+    reference_samples: tuple[float, float] | None = None
     log_name: Name | None = None
     feet: dict[str, str] | None = None
     file: _ModelFile | None = None

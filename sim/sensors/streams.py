@@ -19,6 +19,8 @@ FASTEST_LOG = 1e4
 """Rate beyond that of any robot's sensor [Hz]."""
 LARGEST_ERROR = 1e6
 """Largest size of any sensor error, in SI units: far beyond any sensor."""
+SHARES = ("force_noise", "contact_missed", "contact_false")
+"""Errors that are shares, one at most."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Sensors:
     Joint velocity: such an encoder on the motor's side of a gear of 8, differenced over 2 ms, has
     an error of sqrt(1/6) 3.83e-4 rad / 8 / 2 ms = 0.01 rad/s.
     Torque and foot force: no published figure was found; chosen as some 0.2 % of the largest torque
-    and 0.5 % of the weight of a robot of 40 kg. The threshold of contact was chosen, too.
+    of a robot of 40 kg, and 0.5 % of the weight. The threshold of contact was chosen, too.
     An IMU without a bandwidth averages over each row (VN-100 manual: coning and sculling
     integrals); with one it is filtered and then sampled, with aliasing from above half the rate
     (VN-100: 256 Hz gyro, 260 Hz accelerometer).
@@ -53,7 +55,7 @@ class Sensors:
     encoder_step: float = 3.83e-4  # rad
     velocity_noise: float = 0.01  # rad/s
     torque_noise: float = 0.1  # N m
-    force_noise: float = 2.0  # N
+    force_noise: float = 0.005  # of the robot's weight
     contact_threshold: float = 0.08  # of the robot's weight, on one foot
     imu_bandwidth: float = 0.0  # Hz, of the IMU's first-order low-pass; 0: it averages a sample
     rate: float = 0.0  # Hz, rows a second of the log; 0: a row a timestep
@@ -64,7 +66,7 @@ class Sensors:
     contact_false: float = 0.0  # share of samples of a lifted foot that report contact
 
     def __post_init__(self):
-        highest = {"rate": FASTEST_LOG, "contact_missed": 1.0, "contact_false": 1.0}
+        highest = {"rate": FASTEST_LOG} | dict.fromkeys(SHARES, 1.0)
         for name, value in vars(self).items():
             most = highest.get(name, LARGEST_ERROR)
             if not 0.0 <= value <= most:
@@ -204,7 +206,12 @@ class SensorErrors:
     """
 
     def __init__(
-        self, sensors: Sensors, rng: np.random.Generator, shape: tuple[int, int, int], rate: float
+        self,
+        sensors: Sensors,
+        rng: np.random.Generator,
+        shape: tuple[int, int, int],
+        rate: float,
+        weight: float,
     ):
         """Advances `rng` to where a `ContactSwitch` continues.
 
@@ -213,10 +220,12 @@ class SensorErrors:
             rng: random generator.
             shape: numbers of rows, joints and legs.
             rate: sampling rate [Hz].
+            weight: of the robot [N].
         """
         s, (n, joints, legs) = sensors, shape
         self._gyro, self._accel = (_ImuErrors(s, name, rng, n, rate) for name in ("gyro", "accel"))
-        noises = (joints, s.velocity_noise), (joints, s.torque_noise), (legs, s.force_noise)
+        force_noise = s.force_noise * weight
+        noises = (joints, s.velocity_noise), (joints, s.torque_noise), (legs, force_noise)
         self._dq, self._tau, self._force = (
             (deferred_normals(rng, n * columns), size) for columns, size in noises
         )

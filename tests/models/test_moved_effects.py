@@ -58,6 +58,7 @@ def test_the_same_is_found(traces):
     (friction,) = moved.effects
     assert (friction.name, friction.target) == ("viscous_friction", "shoulder")
     assert friction.value == pytest.approx(bundled.effects[0].value, rel=1e-3)
+    assert 0.0 < moved.found[0].least < friction.value
     assert friction.value == pytest.approx(0.1, rel=0.1)
 
 

@@ -203,3 +203,23 @@ def test_a_reference_with_a_noisy_sample_a_row_is_seen_by_the_floor(log):
     assert reference_sampling(noisy) is None
     assert any("included in the noise floor" in note for note in reference_notes(measured))
     assert reference_notes(noisy) == ()
+
+
+def test_noise_of_samples_hardly_slower_than_the_rows_is_not_underrated(log):
+    """Neighbouring rows are then interpolated with the same sample, and differ by less than their
+    noise.
+    """
+    true = ReferenceSampling((0.0025,), 0.3e-3, 1e-3)
+    seen = resample_reference(log, true, np.random.default_rng(4))
+    names = [n for n in seen.frame if str(n).startswith("ref_v")]
+    frame = seen.frame.drop(columns=names)
+    found = reference_sampling(type(seen)(frame, seen.meta, seen.name))
+    assert found is not None
+    assert found.intervals == ()
+    assert found.angle == pytest.approx(np.sqrt(2 / 3) * true.angle, rel=0.15)  # of a mean row
+    samples = {"reference_samples": (seen.t[0] + 0.0025, 0.0025)}
+    imported = replace(seen.meta, model=seen.meta.model | samples)
+    found = reference_sampling(type(seen)(frame, imported, seen.name))
+    assert found is not None
+    assert_allclose(found.intervals[1:], true.intervals[0])
+    assert found.angle == pytest.approx(true.angle, rel=0.15)

@@ -1,5 +1,7 @@
 """Sensors: contact that is late and wrong as often as told, an IMU's low-pass, encoder offsets."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -33,9 +35,10 @@ def sensed(streams, sensors):
     return ContactSwitch(sensors, np.random.default_rng(5), WEIGHT, streams.rate).read(streams)
 
 
-def with_errors(streams, sensors):
+def with_errors(streams, sensors, weight=WEIGHT):
     shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
-    return SensorErrors(sensors, np.random.default_rng(5), shape, streams.rate).apply(streams)
+    rng = np.random.default_rng(5)
+    return SensorErrors(sensors, rng, shape, streams.rate, weight).apply(streams)
 
 
 @pytest.mark.parametrize("rows", [0, 10])
@@ -51,6 +54,13 @@ def test_contact_is_wrong_as_often_as_told(streams):
     # 40000 samples of each kind: three standard deviations of the counts.
     assert (~contact[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
     assert contact[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
+
+
+def test_contacts_of_a_light_robot_do_not_flicker(streams):
+    weight, rng = 0.1 * WEIGHT, np.random.default_rng(5)
+    light = with_errors(replace(streams, force=0.1 * streams.force), Sensors(), weight)
+    contact = ContactSwitch(Sensors(), rng, weight, streams.rate).read(light)
+    assert_array_equal(contact, streams.force > 0)
 
 
 def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):

@@ -4,6 +4,8 @@ import numpy as np
 
 from surefoot.extend import BIN, Channel, Column, bin_mean
 
+FORCE_NOISE = 4.0  # N, of the sum
+
 
 class SupportForce(Channel):
     """What the force sensors of all feet read minus what the robot's mass and acceleration take."""
@@ -25,4 +27,4 @@ class SupportForce(Channel):
         return bin_mean(inputs.motion)(support)[:, None]
 
     def noise(self, sensors, rate, evenness):
-        return sensors.force_noise / np.sqrt(BIN * rate)
+        return FORCE_NOISE / np.sqrt(BIN * rate)
