@@ -57,8 +57,8 @@ STEPS = ("before", "after", "tuned")
 ENDS = ("first", "last")
 END = 0.4
 """Length of each end of the measured log, as a share of it; the rest is its middle."""
-BATCH = 12
-"""Windows in each step of a training on many walks."""
+TRAINING = replace(TRAIN_DEFAULT, batch=12, width=96)
+"""Course of a training on many walks."""
 HALF_WIDTH = 1.96
 """Half width of a normal distribution's 95 % interval, in standard deviations."""
 
@@ -123,7 +123,7 @@ def loop(
         steps.append(_step(name, effects, [learnt, learnt], measured, corrected))
     measured, corrected = _compensated(log, robot, steps[-1].effects)
     if not reason:
-        how = replace(TRAIN_DEFAULT, seed=seed, batch=BATCH)
+        how = replace(TRAINING, seed=seed)
         try:
             tuned = _tuned(steps[-1].learnt[0], measured, corrected, out / "tuned", how)
             steps.append(_step("tuned", steps[-1].effects, tuned, measured, corrected))
@@ -163,12 +163,13 @@ def _step(
 
 
 def inputs_of(log: Log) -> str:
-    """Inputs of an observer for this log: what its feet say and, if available, which stand.
+    """Inputs of an observer for this log: the IMU, what its feet say and, if available, which
+    stand.
 
     Leg odometry with the declared model transfers better from simulation to the robot than joint
-    angles do.
+    angles do. Friction and currents of motors make measured torques differ from simulated ones.
     """
-    return "gyro,contact,feet" if log.has("contact") else "gyro,feet"
+    return "gyro,accel,contact,feet" if log.has("contact") else "gyro,accel,feet"
 
 
 def _traced(
@@ -268,7 +269,7 @@ def _learnt(robot: Robot, own: OwnEffects, log: Log, out: Path, settings: LoopSe
             role: replace(drawn_walks(simulated, count, role, seed, own=own), seen_as=seen)
             for role, count in counts.items()
         }
-        how = replace(TRAIN_DEFAULT, inputs=inputs_of(log), seed=seed, batch=BATCH)
+        how = replace(TRAINING, inputs=inputs_of(log), seed=seed)
         held_out = tuple(walks["held_out"])
         learn(walks["train"], walks["calibrate"], out, how, force=True, held_out=held_out)
         done.touch()

@@ -119,7 +119,8 @@ def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
 
 
 @pytest.mark.parametrize(
-    ("dropped", "inputs"), [((), "gyro,contact,feet"), (("contact_", "force_"), "gyro,feet")]
+    ("dropped", "inputs"),
+    [((), "gyro,accel,contact,feet"), (("contact_", "force_"), "gyro,accel,feet")],
 )
 def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
     assert inputs_of(without(log, *dropped)) == inputs
