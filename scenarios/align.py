@@ -81,7 +81,8 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
     before = smoothed(at, middle, rates)
     after = smoothed(at, middle + found.offset, rates @ found.R_IM.T) + found.bias_gyro
     drawn, axes = new_figure(4, 2, size=(9.0, 8.0))
-    for column, (other, title) in enumerate(((before, "As recorded"), (after, "Aligned"))):
+    recorded = "As recorded" + ": reference at other times" * bool(np.isnan(before).all())
+    for column, (other, title) in enumerate(((before, recorded), (after, "Aligned"))):
         set_title(axes[0, column], title)
         for row, axis in enumerate("xyz"):
             ax = axes[row, column]

@@ -128,14 +128,17 @@ def portrait(robot: Robot) -> Figure:
             outline = in_base(outline_G(data, int(geom)))[:, [across, 2]]
             hull = outline[ConvexHull(outline, qhull_options="QJ").vertices]
             axes.add_patch(Polygon(hull, facecolor=TRUTH, edgecolor=INK, alpha=0.15, linewidth=0.4))
-        for leg, chain in enumerate(robot.limbs.chains):
-            hinges = [data.xanchor[model.joint(robot.joint_names[j]).id] for j in chain]
+        named = np.empty((0, 2))
+        for leg in map(int, np.argsort(-feet_B[:, 1 - across], kind="stable")):  # from the nearest
+            names = [robot.joint_names[j] for j in robot.limbs.chains[leg]]
+            hinges = [data.xanchor[model.joint(name).id] for name in names]
             line = np.array([*in_base(np.array(hinges)), feet_B[leg]])[:, [across, 2]]
             axes.plot(*line.T, "o-", color=INK, markersize=3.0, linewidth=1.2)
-            radius, near = robot.foot_radius[leg], feet_B[leg, 1 - across] >= 0.0
+            radius = robot.foot_radius[leg]
             axes.add_patch(Circle(line[-1], radius, facecolor="none", edgecolor=INK))
-            if near:  # those behind would be named on top of it
-                name = robot.limbs.legs[leg]
+            apart = np.linalg.norm(named - line[-1], axis=1)
+            if (apart > 0.2 * robot.leg_length).all():  # not on top of another name
+                name, named = robot.limbs.legs[leg], np.vstack([named, line[-1]])
                 below = line[-1] - (0.0, radius)
                 style = {"ha": "right", "va": "top", "color": INK, "rotation": 30.0}
                 axes.annotate(name, below, (0, -3), textcoords="offset points", **style)

@@ -27,6 +27,8 @@ an unloaded motor, and a torque beyond any machine.
 """
 MOST_REACH = 1e2
 """Largest accepted distance from the IMU to a foot [m]."""
+MOST_FORCE = 1e9
+"""Largest accepted reading of a foot's force, in its own unit: more than 24 bits of counts."""
 MOST_ITERATIONS = 1000
 """Largest number of projections in a coverage update."""
 MOST_ASYMMETRY = 1e-9

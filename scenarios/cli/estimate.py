@@ -24,6 +24,7 @@ from surefoot.scenarios.settings import (
     WalksSettings,
 )
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.plugins import next_command
 
 if TYPE_CHECKING:
     from surefoot.estimator.evaluation.health import Health
@@ -124,9 +125,9 @@ class Train(TrainSettings, WalksSettings, CheckedSettings, OutputSettings, optio
         print(
             f"{self.out}: validation RMSE {x:.4f}, {y:.4f}, {z:.4f} m/s "
             f"(forward, lateral, vertical){on}\n"
-            f"next: surefoot calibrate {self.out} LOG... -o BOUNDS.json; LOG are walks that the "
-            f"observer has not seen, of which {walk_enough():g} s with a reference suffice; or "
-            f"{' '.join([*drawn_as, '--walks 16'])}"
+            f"next: {next_command('calibrate', self.out)} LOG... -o BOUNDS.json; LOG are walks "
+            f"that the observer has not seen, of which {walk_enough():g} s with a reference "
+            f"suffice; or {' '.join([*drawn_as, '--walks 16'])}"
         )
         if self.report:
             print(f"report: {self.report / 'report.html'}")

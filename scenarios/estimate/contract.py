@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from numbers import Real
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -146,7 +147,8 @@ class Sample(NamedTuple):
 
     t [s]; gyro (3,) [rad/s] and accel (3,) [m/s^2] in I, means since the last sample; q, dq, tau
     (J,) [rad, rad/s, N m] of the joints and contact (K,) bool of the feet, now; extra: the columns
-    `x_<name>` of a log by name; foot_I (K, 3) [m]: positions of the feet now, in I.
+    `x_<name>` of a log by name; foot_I (K, 3) [m]: positions of the feet now, in I; force (K,) of
+    the feet now, in the sensor's own unit.
     """
 
     t: float
@@ -158,6 +160,7 @@ class Sample(NamedTuple):
     contact: np.ndarray | None = None
     extra: Mapping[str, float] | None = None
     foot_I: np.ndarray | None = None
+    force: np.ndarray | None = None
 
 
 class CheckedSample(Sample):
@@ -250,9 +253,12 @@ LARGEST_READINGS = {
     "tau": checks.MOST_TORQUE,
     "contact": 1.0,
     "foot_I": checks.MOST_REACH,
+    "force": checks.MOST_FORCE,
 }
 """Field of a sample -> its largest magnitude."""
-GROUPS_OF_FIELDS = {"q": "q", "dq": "dq", "tau": "tau", "contact": "contact", "foot": "foot_I"}
+GROUPS_OF_FIELDS = {name: name for name in ("q", "dq", "tau", "contact", "force")} | {
+    "foot": "foot_I"
+}
 """Group of a log's columns -> field of a sample, of what may be missing."""
 IMU_SHAPES: Mapping[str, tuple[int, ...]] = {"gyro": (3,), "accel": (3,)}
 LATEST_STAMP = 1e10
@@ -319,10 +325,9 @@ def _readings(what: str, value: object, shape: tuple[int, ...] | None, most: flo
 def samples(log: Log) -> Iterator[Sample]:
     """The rows of a log one by one, with the groups that it has."""
     t, gyro, accel = log.t, log.gyro, log.accel
-    others = [getattr(log, f) if log.has(g) else None for g, f in GROUPS_OF_FIELDS.items()]
+    others = {f: getattr(log, f) for g, f in GROUPS_OF_FIELDS.items() if log.has(g)}
     names = [name for name in log.frame.columns if str(name).startswith("x_")]
-    extra = log.frame.loc[:, names].to_dict(orient="records") if names else None
-    for k in range(len(log.frame)):
-        q, dq, tau, contact, foot_I = (None if values is None else values[k] for values in others)
-        more = {str(name): x for name, x in extra[k].items()} if extra else None
-        yield Sample(t[k], gyro[k], accel[k], q, dq, tau, contact, more, foot_I)
+    extra = log.frame.loc[:, names].to_dict(orient="records") if names else repeat(None)
+    for k, more in zip(range(len(log.frame)), extra, strict=False):
+        row = {field: values[k] for field, values in others.items()}
+        yield Sample(t[k], gyro[k], accel[k], extra=more, **row)

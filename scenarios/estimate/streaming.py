@@ -73,7 +73,7 @@ class StreamingEstimator:
         if robot is not None:
             joints, legs = len(robot.limbs.joints), len(robot.limbs.legs)
             shapes |= dict.fromkeys(("q", "dq", "tau"), (joints,))
-            shapes |= {"contact": (legs,), "foot_I": (legs, 3)}
+            shapes |= {"contact": (legs,), "force": (legs,), "foot_I": (legs, 3)}
         fields = (_GROUPS.get(group, ()) for group in ("imu", *needs.log))
         self._any = shapes, tuple(dict.fromkeys(chain.from_iterable(fields)))
         self._form = self._any  # shapes of fields, and which are needed, once there is a sample

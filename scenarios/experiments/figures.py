@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from surefoot.scenarios.reporting.figures import draw_error
 from surefoot.scenarios.reporting.palette import (
     INK,
     TRUTH,
@@ -151,7 +152,7 @@ def _height_limits(series: Mapping[str, pd.DataFrame]) -> tuple[float, float]:
 
 
 def errors_figure(series: Mapping[str, Mapping[str, pd.DataFrame]], title: str) -> Figure:
-    """One panel per sequence: distance from the truth and, dashed, the filter's three sigma."""
+    """One panel per sequence: distance from the truth and, thin, the filter's three sigma."""
     columns = max(min(3, len(series)), 1)
     lines = -(-len(series) // columns)
     figure, axes = new_figure(lines, columns, size=(10.0, 2.2 * lines + 0.8), title=title)
@@ -160,12 +161,9 @@ def errors_figure(series: Mapping[str, Mapping[str, pd.DataFrame]], title: str) 
     for ax, (name, by_filter) in zip(axes.flat, series.items(), strict=False):
         top = 0.0
         for filter_name, part in by_filter.items():
-            look = estimator_look(filter_name)
-            ax.plot(part["t"], part["distance"], **look, linewidth=1.3)
-            top = max(top, float(part["distance"].max()))
-            if "sigma" in part:
-                sigma = ax.plot(part["t"], 3.0 * part["sigma"], color=look["color"], alpha=0.8)
-                sigma[0].set(linestyle=(0, (4, 2)), linewidth=0.8)
+            look, distance = estimator_look(filter_name), part["distance"]
+            draw_error(ax, look, part["t"], distance, part.get("sigma"))
+            top = max(top, float(distance.max()))
         limit_to_errors(ax, top)
         ax.set_xlabel("time [s]")
         set_title(ax, name, 9.0)

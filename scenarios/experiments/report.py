@@ -224,7 +224,7 @@ def _walks(outcome: Outcome, found: Experiment) -> list[Section]:
         series = _series(outcome, condition.name, found)
         if not series:
             continue
-        what = "distance between estimate and truth, and each filter's own 3σ (dashed)"
+        what = "distance between estimate and truth, and each filter's own 3σ (thin)"
         errors = Picture(
             errors_figure(series, f"{condition.name}: {what}"),
             f"Each sequence of seed {found.seeds[0]}. A filter whose error exceeds its 3σ is "

@@ -1,9 +1,10 @@
 """Figures of one walk: path, height, velocity, and the error of each estimator."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -150,20 +151,24 @@ def position_error(errors: Mapping[str, ErrorSeries]) -> Figure:
     figure, ax = single_axes(7.5, 4.0)
     top = 0.0
     for name, error in errors.items():
-        color, label = estimator_color(name), name
-        sigma = error.distance_sigma
+        sigma, note = error.distance_sigma, ""
         if sigma is not None:
-            inside = 100.0 * (error.distance <= 3.0 * sigma).mean()
-            label = f"{label} ({inside:.0f} % within 3σ)"
-            ax.plot(error.t, 3.0 * sigma, color=color, linewidth=1.0, linestyle=(0, (4, 2)))
-        ax.plot(error.t, error.distance, color=color, linewidth=1.6, label=label)
+            note = f"{100.0 * (error.distance <= 3.0 * sigma).mean():.0f} % within 3σ"
+        draw_error(ax, estimator_look(name, note), error.t, error.distance, sigma)
         top = max(top, float(error.distance.max()))
     show_time(ax, *_span(errors))
     ax.set_ylabel("position error [m]")
     limit_to_errors(ax, top)
-    set_title(ax, "Position error, and each filter's own 3σ (dashed)")
+    set_title(ax, "Position error, and each filter's own 3σ (thin)")
     legend_below(figure, ax, columns=2)
     return figure
+
+
+def draw_error(ax: Axes, look: dict[str, Any], t, distance, sigma=None) -> None:
+    """Draw the distance from the truth (N,) [m] over t [s], and thin the filter's own 3 sigma."""
+    ax.plot(t, distance, linewidth=1.8, **look)
+    if sigma is not None:
+        ax.plot(t, 3.0 * sigma, linewidth=0.7, **dict(look, label="_"))
 
 
 def errors_by_axis(errors: Mapping[str, ErrorSeries]) -> Figure:

@@ -13,7 +13,7 @@ from surefoot.scenarios.estimate.estimators import traits
 TRUTH = "#8C8C8C"
 OBSERVER = "#E69F00"
 BOUNDS = "#B8913D"
-OUTSIDE = "#EE3377"
+OUTSIDE = "#B2182B"
 STANDING_FOOT = "#6E8CA8"
 INK = "#222222"
 TRAIN, TEST = "#0072B2", "#D55E00"

@@ -174,7 +174,7 @@ def causes_of_drift(
     """What the effects contribute to the leg filter's mean drift over whole logs; None where it
     does not run, and where the logs hardly move.
     """
-    judging = _judging(cases)
+    judging = [case for case in cases if _judges(case)]
 
     def mean(compensated: Sequence[Effect]) -> np.ndarray:
         tried = [_by_legs(case, compensated, case.log.t[0], case.log.t[-1]) for case in judging]
@@ -191,13 +191,10 @@ def causes_of_drift(
     return DriftCauses(declared, tuple(added), left)
 
 
-def _judging(cases: Sequence[LogUnderModel]) -> list[LogUnderModel]:
-    """The walks on which leg odometry can be judged. How far given feet roll is not known."""
-    return [
-        case
-        for case in cases
-        if not (case.fixed or case.by_feet) and case.log.has("imu") and case.log.has("reference")
-    ]
+def _judges(case: LogUnderModel) -> bool:
+    """Whether leg odometry can be judged on this walk. How far given feet roll is not known."""
+    walks = not (case.fixed or case.by_feet)
+    return walks and case.log.has("imu") and case.log.has("reference")
 
 
 def _by_legs(
@@ -274,12 +271,11 @@ def harmful_to_filters(
     of such a robot (`walks`) count alike: they are the method's own, which another error may
     cancel.
     """
-    parts = [(case, effects, LOG_PARTS) for case in _judging(cases)]
-    known, worst = _errors_by_legs(parts), None
+    known, worst = _errors_by_legs([(case, effects, LOG_PARTS) for case in cases]), None
     of_walks = _errors_by_legs([(one.case, one.effects, 1) for one in walks])
     for one in effects:
         rest = [e for e in effects if e != one]
-        less = _errors_by_legs([(case, rest, LOG_PARTS) for case in _judging(cases)])
+        less = _errors_by_legs([(case, rest, LOG_PARTS) for case in cases])
         for name, with_all in known.items():
             if name not in less or len(less[name]) != len(with_all):
                 continue
@@ -298,10 +294,10 @@ def _errors_by_legs(
     logs: Sequence[tuple[LogUnderModel, Sequence[Effect], int]],
 ) -> dict[str, np.ndarray]:
     """Logarithm of the RPE (n,) of leg odometry and the leg filter, by name, on so many equal parts
-    of each log with these effects compensated.
+    of each log that judges them, with these effects compensated.
     """
     found: dict[str, list[float]] = {}
-    for case, compensated, parts in logs:
+    for case, compensated, parts in (one for one in logs if _judges(one[0])):
         for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], parts + 1)):
             truth, tried = _by_legs(case, compensated, *ends)
             for name, estimate in tried.items():

@@ -6,6 +6,7 @@ from shlex import join
 from surefoot.scenarios.reporting.html import Step
 from surefoot.scenarios.settings import TraceSettings
 from surefoot.scenarios.trace.result import Trace
+from surefoot.sim.common.plugins import next_command
 from surefoot.sim.robot.catalog import known_robots
 from surefoot.sim.robot.machine import Machine
 
@@ -21,7 +22,7 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
 
     def command(name: str, *arguments: str | Path, out: str) -> str:
         of_robot = ("--robot", files.robot) if files.robot else ()
-        return _line(name, *arguments, *of_robot, "-o", beside(out))
+        return next_command(name, *arguments, *of_robot, "-o", beside(out))
 
     seen, filters = files.holdout or files.logs, bool(found.filters)
     declared = ("--declared", files.declared) if files.declared else ()
@@ -31,7 +32,7 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         known = robot.legged.name in known_robots()
         named = files.robot or (robot.legged.name if known else robot.legged.file)
         names = [*(one.name for one in found.effects), *(rival["name"] for rival in found.rivals)]
-        plan = _line("plan", "--robot", named, *dict.fromkeys(names or _SUSPECTED))
+        plan = next_command("plan", "--robot", named, *dict.fromkeys(names or _SUSPECTED))
     effects = files.out / "effects.toml"
     use: list[Step] = []
     if files.declared and found.effects:
@@ -57,7 +58,7 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
         )
         legs = not robot.fixed and any(not name.startswith("imu") for name in found.channels)
         words = f"Check stamps{', signs and contacts' if legs else ' and signs'} of the log"
-        check = _line("info", files.logs[0], *(["--contacts"] if legs else []))
+        check = next_command("info", files.logs[0], *(["--contacts"] if legs else []))
         return (
             Step(words, check),
             *([align] if filters else []),
@@ -85,7 +86,3 @@ def _unseen(found: Trace) -> str:
             least[name] = one.least, found.unit_of(name, target)
     sizes = [f"{name} below {size:.2g} {unit}" for name, (size, unit) in least.items()]
     return ", ".join(sizes) or "smaller effects"
-
-
-def _line(name: str, *arguments: str | Path) -> str:
-    return join(["surefoot", name, *map(str, arguments)])

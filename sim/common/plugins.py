@@ -22,6 +22,7 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.util import module_from_spec, spec_from_file_location
 from inspect import getfile, getsourcelines
 from pathlib import Path
+from shlex import join
 from typing import Any
 
 from surefoot.sim.common.errors import SurefootError, errors_in
@@ -222,7 +223,8 @@ def plugins(group: str) -> dict[str, tuple[EntryPoint, ...]]:
 
 FILES = "SUREFOOT_PLUGINS"
 """Environment variable: plug-in files that every process loads, separated by os.pathsep."""
-_LOADED: set[str] = set()
+_LOADED: dict[str, str] = {}
+"""Path of each plug-in file of this process -> the file as it was given."""
 _IN_USE: dict[str, EntryPoint] = {}
 """Value -> entry point of the plug-ins that were looked up."""
 _OF_FILES: dict[str, list[EntryPoint]] = {}
@@ -251,7 +253,7 @@ def load_plugin(file: str | Path) -> None:
         spec.loader.exec_module(module)
     with errors_in(f"--plugin {file}"):
         _register(module_name, getattr(module, "PLUGINS", None))
-    _LOADED.add(str(path.resolve()))
+    _LOADED[str(path.resolve())] = str(file)
     # Workers of this process are given the same files.
     os.environ[FILES] = os.pathsep.join(sorted(_LOADED))
     plugins.cache_clear()
@@ -284,6 +286,12 @@ def with_plugins(arguments: Sequence[str]) -> list[str]:
         else:
             others.append(one)
     return others
+
+
+def next_command(name: str, *arguments: str | Path) -> str:
+    """A command that continues this one, quoted for a shell, with the same plug-in files."""
+    files = [word for file in _LOADED.values() for word in ("--plugin", file)]
+    return join(["surefoot", name, *map(str, arguments), *files])
 
 
 def _what(point: EntryPoint) -> str:

@@ -89,7 +89,7 @@ def log():
 @pytest.fixture
 def offer(tmp_path, monkeypatch):
     """A function that makes a plug-in file of a kind, with lines after its class."""
-    for name, empty in (("_LOADED", set()), ("_IN_USE", {}), ("_OF_FILES", {})):
+    for name, empty in (("_LOADED", {}), ("_IN_USE", {}), ("_OF_FILES", {})):
         monkeypatch.setattr(plugins_module, name, empty)
     monkeypatch.setenv(plugins_module.FILES, "")
 

@@ -10,7 +10,17 @@ from surefoot.scenarios.reporting.observer_errors import (
     error_bounds,
     error_distributions,
 )
-from surefoot.scenarios.reporting.palette import AFTER, BEFORE, TEST, TRAIN, estimator_color, rgba
+from surefoot.scenarios.reporting.palette import (
+    AFTER,
+    BEFORE,
+    OBSERVER,
+    OUTSIDE,
+    TEST,
+    TRAIN,
+    TRUTH,
+    estimator_color,
+    rgba,
+)
 from surefoot.scenarios.robot_card import portrait, robot_card
 from surefoot.sim.robot import Robot
 
@@ -48,7 +58,7 @@ def test_colours_differ(vision):
         for b in names[k + 1 :]:
             apart = np.linalg.norm(places[a] - places[b])
             assert apart > (30.0 if {a, b} <= set(first) else 10.0), (a, b, apart)
-    for pair in ((TRAIN, TEST), (BEFORE, AFTER)):
+    for pair in ((TRAIN, TEST), (BEFORE, AFTER), (TRUTH, OUTSIDE), (OBSERVER, OUTSIDE)):
         one, other = (lab(SEEN[vision] @ linear(color)) for color in pair)
         assert np.linalg.norm(one - other) > 30.0, pair
 
@@ -89,6 +99,13 @@ def test_a_leg_of_any_number_of_hinges_has_its_length(tmp_path, links, length):
 def test_numbers_below_a_tall_robot_do_not_touch(tmp_path, link):
     file = written(tmp_path / "robot.xml", two_legs([link, link]))
     assert_numbers_apart(portrait(Robot.load(str(file))))
+
+
+def test_of_legs_one_behind_another_the_nearest_is_named(tmp_path):
+    file = written(tmp_path / "robot.xml", two_legs([0.3, 0.4]))
+    views = portrait(Robot.load(str(file))).axes
+    named = [{text.get_text() for text in view.texts} - {"IMU"} for view in views]
+    assert named == [{"left"}, {"left", "right"}]
 
 
 def test_a_mesh_is_drawn_by_its_outline(tmp_path):

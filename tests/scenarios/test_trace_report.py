@@ -32,6 +32,7 @@ from surefoot.scenarios.trace.report import (
     summary,
 )
 from surefoot.scenarios.trace.result import Trace
+from surefoot.sim.common import plugins
 from surefoot.sim.effects import effect
 
 LONG = effect("link_length", "FR_calf", 0.006)
@@ -126,6 +127,12 @@ def test_each_verdict_says_what_to_do_next_in_commands_that_are_commands(verdict
     # What changed since unchanged runs is sought in each run by itself.
     since = next_steps(replace(found, least={("link_mass", "FL_calf"): 0.1}), files, robot)
     assert not any("--holdout" in (step.command or "") for step in since)
+
+
+def test_commands_name_the_files_of_plugins(robot, monkeypatch):
+    monkeypatch.setattr(plugins, "_LOADED", {"/at/my own.py": "my own.py"})
+    commands = [step.command for step in next_steps(result("attributed"), FILES, robot)]
+    assert all(command.endswith(" --plugin 'my own.py'") for command in commands)
 
 
 @pytest.mark.parametrize("channels", [["imu_gyro"], ["imu_gyro", "leg_velocity"]])

@@ -233,6 +233,10 @@ def test_errors_that_simulated_walks_have_too_are_no_harm(zigzag):
     assert harm[0] == absent
     assert filters.harmful_to_filters([case], [absent], [exact, erring]) is None
     assert filters.harmful_to_filters([case], [absent], []) == harm
+    without = zigzag.frame[[c for c in zigzag.frame if not str(c).startswith("ref_")]]
+    (blind,) = logs_under_model([replace(zigzag, frame=without)], ROBOT, ())
+    blinds = [FloorWalk(blind, (), none, weights)]
+    assert filters.harmful_to_filters([blind], [absent], blinds) is None  # they cannot tell
 
 
 T = np.linspace(0.0, 10.0, 1001)

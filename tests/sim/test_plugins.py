@@ -116,7 +116,7 @@ FAULTS = {
 @pytest.fixture
 def faulty(tmp_path, monkeypatch):
     """A function that makes a gait of a plug-in file whose method does this."""
-    monkeypatch.setattr(plugins_module, "_LOADED", set())
+    monkeypatch.setattr(plugins_module, "_LOADED", {})
     monkeypatch.setattr(plugins_module, "_IN_USE", {})
     monkeypatch.setattr(plugins_module, "_OF_FILES", {})
     monkeypatch.setenv(plugins_module.FILES, "")
