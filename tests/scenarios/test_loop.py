@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from surefoot.models.registry import LOSSES
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.settings import LoopSettings
 from surefoot.scenarios.trace import loop as loop_module
+from surefoot.scenarios.trace import loop_report
 from surefoot.scenarios.trace.loop import (
     RECIPE,
     ends,
@@ -184,3 +187,16 @@ def test_an_observer_tuned_on_one_end_is_judged_on_the_other(tmp_path, monkeypat
 
 def _error(observer, log, robot):
     return np.linalg.norm(prediction_errors(observer, log, robot)[1], axis=1).mean()
+
+
+def test_the_findings_name_the_filters_that_distrust_themselves():
+    def said(**lost: str) -> str:
+        steps: Any = [SimpleNamespace(name=name, ends=[ends(of)]) for name, of in lost.items()]
+        return loop_report._distrusted(steps)
+
+    def ends(lost: str) -> SimpleNamespace:
+        ran = [SimpleNamespace(filter=f, health=SimpleNamespace(lost=f in lost)) for f in "abc"]
+        return SimpleNamespace(results=ran)
+
+    assert "b, c (before); b (tuned)" in said(before="bc", after="", tuned="b")
+    assert said(before="", after="") == ""
