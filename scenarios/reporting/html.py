@@ -8,7 +8,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from surefoot.scenarios.reporting.plotting import DPI, png, save_figure
+from surefoot.scenarios.reporting.plotting import png, save_figure
 from surefoot.scenarios.reporting.tables import (
     Table,
     in_markdown,
@@ -120,9 +120,8 @@ def _step(step: Step) -> str:
 
 
 def _picture(picture: Picture) -> str:
-    caption, content = escape(picture.caption), png(picture.figure)
-    source = f"data:image/png;base64,{b64encode(content).decode('ascii')}"
-    # On a narrow screen, letters have at least as many pixels as points, and the figure scrolls.
-    width = 72.0 / DPI * int.from_bytes(content[16:20], "big")  # where a PNG has its width
-    image = f'<img alt="{caption}" style="min-width: {width:.0f}px" src="{source}">'
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+    caption = escape(picture.caption)
+    source = f"data:image/png;base64,{b64encode(png(picture.figure)).decode('ascii')}"
+    return (
+        f'<figure><img alt="{caption}" src="{source}"><figcaption>{caption}</figcaption></figure>'
+    )

@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from surefoot.scenarios.reporting.palette import INK
 from surefoot.sim.common.files import whole_file
 
-DPI = 150
+_DPI = 150
 _STYLE: Any = {
     "font.size": 9.0,
     "axes.spines.top": False,
@@ -58,7 +58,7 @@ def new_figure(
         title: above all axes, at the left; "" for none.
     """
     with rc_context(_STYLE):
-        figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False, sharex=share_x, height_ratios=ratios)
     for ax in axes.flat:
         ax.tick_params(colors=INK, labelsize=8.0)
