@@ -70,7 +70,7 @@ mutants: setup
 
 # Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More seeds,
 # more steps and all architectures: STUDY=.
-STUDY ?= --seeds 1 --steps 1200 --models gru
+STUDY ?= --seeds 1 --models gru
 study-observer: setup
 	$(BIN)/python -m studies.observers -o out/observer_study $(STUDY) \
 		--data docs/data/observers --page docs/results/observers.md
