@@ -321,9 +321,11 @@ def check_robot(
 
 def check_inputs(inputs: tuple[str, ...] | str) -> tuple[str, ...]:
     """Groups in the order of INPUTS, from "q,dq,tau" too. Raises ObserverError for an unknown one,
-    or one that is given twice.
+    one that is given twice, or none.
     """
     names = inputs.replace(" ", "").split(",") if isinstance(inputs, str) else inputs
+    if not names:
+        raise ObserverError("inputs: none are given")
     for name in names:
         check_known("inputs", name, INPUTS, ObserverError)
         if names.count(name) > 1:

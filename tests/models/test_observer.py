@@ -61,7 +61,7 @@ def test_a_field_of_the_wrong_kind_is_refused(mse_observer, tmp_path):
                 Observer.load(path)
 
 
-@pytest.mark.parametrize("inputs", ["", "q,torque", "q,dq,tau,q", ("q", "q")])
+@pytest.mark.parametrize("inputs", ["", (), "q,torque", "q,dq,tau,q", ("q", "q")])
 def test_other_inputs_are_refused(inputs):
     with pytest.raises(ObserverError, match="inputs"):
         check_inputs(inputs)
