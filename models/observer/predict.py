@@ -1,5 +1,6 @@
 """Prediction with an observer: for a whole log, in a robot's own loop, or for a log in pieces."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,14 +131,14 @@ class ObserverStream:
         self._t, self._x = np.zeros(0), np.zeros((0, 0))
         self._start, self._last = np.nan, -1
 
-    def advance(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> Prediction:
+    def advance(self, t: np.ndarray, readings: Mapping[str, np.ndarray | None]) -> Prediction:
         """Process the next rows; returns the prediction at those of them that are updates. Raises
         ObserverError where an input is missing.
 
         Args:
             t: stamps (N,) [s].
             readings: SIGNALS by name, q, dq and tau (N, J), gyro and accel (N, 3) in I and contact
-                (N, L), None where not measured.
+                (N, L), None or left out where not measured.
         """
         x = self._inputs(t, readings)
         if np.isnan(self._start):
@@ -150,18 +151,18 @@ class ObserverStream:
         self._t, self._x = times[kept:], x[kept:]
         v_I, covariance, unlike = self._running(seen)
         if self._moved:
-            if (gyro := readings["gyro"]) is None:
+            if (gyro := readings.get("gyro")) is None:
                 raise ObserverError("the gyro is missing, by which velocities are converted")
             mountings = self._observer, self._robot
             v_I, covariance = move_velocity(v_I, covariance, gyro[rows], *mountings)
         return Prediction(rows, v_I, covariance, unlike)
 
-    def _inputs(self, t: np.ndarray, readings: dict[str, np.ndarray | None]) -> np.ndarray:
-        values = []
+    def _inputs(self, t: np.ndarray, readings: Mapping[str, np.ndarray | None]) -> np.ndarray:
+        values, q = [], readings.get("q")
         for name in self._signals:
-            value = readings[name]
-            if name == "dq" and (self._derives or value is None) and readings["q"] is not None:
-                value = self._rates(t, readings["q"])
+            value = readings.get(name)
+            if name == "dq" and (self._derives or value is None) and q is not None:
+                value = self._rates(t, q)
             if value is None:
                 raise ObserverError(
                     f"the observer reads {','.join(self._signals)}, {name} is missing"
