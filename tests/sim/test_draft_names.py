@@ -69,6 +69,7 @@ KNOWN = [
     ("/cmd_vel:angular.z", "gyro", "command"),
     ("angular_acceleration_x", "other", ""),
     ("lin_acc_x", "accel", ""),
+    ("spec_force_x [g]", "accel", ""),
     ("projected_gravity_0", "other", ""),
     ("gyro_temperature", "other", ""),
     ("base_lin_vel_x", "ref_v", ""),

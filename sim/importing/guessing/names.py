@@ -207,6 +207,8 @@ def _kind(votes: Mapping[str, list[str]], axis: str, counted: bool, leg: str) ->
     of, turning = votes["of"], bool(votes["turning"])
     of_joint = bool(leg or "joint" in of)
     before, kind = ("", "", *votes["quantity"])[-2:]
+    if votes["specific"] and kind == "force":
+        return "accel"  # force per mass, of an accelerometer
     if kind in ("velocity", "rate"):
         turning = turning or before == "ref_q" or (kind == "rate" and axis != "")
         if before in ("gyro", "dq", "q"):
