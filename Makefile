@@ -68,8 +68,8 @@ yardstick: setup
 mutants: setup
 	OMP_NUM_THREADS=1 $(BIN)/python tests/mutation/run.py
 
-# Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More seeds,
-# more steps and all architectures: STUDY=.
+# Inputs, numbers of walks and architectures compared; killed, it goes on where it was. More seeds
+# and all architectures: STUDY=.
 STUDY ?= --seeds 1 --models gru
 study-observer: setup
 	$(BIN)/python -m studies.observers -o out/observer_study $(STUDY) \

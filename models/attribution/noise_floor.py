@@ -251,11 +251,11 @@ def noise_floor(
     Each of a few short walks follows a section of the reference's body velocities, on ground as
     uneven as that of the logs, and one over slippery places. Where torques are logged, the gait is
     about as rough as the logs'. Joints are as noisy, and there are as many rows a second, up to
-    those of the simulation. Seeds are fixed, so the floor is a
-    function of the logs. A section on which the robot falls is repeated at lower speed. For a robot
-    that cannot walk at all the floor is the sensors' noise by their data sheets and that of the
-    reference, for a machine on a fixed base the noise of its readings, and for one that is known by
-    its feet alone that noise and POINT_FEET_LEVELS.
+    those of the simulation. Seeds are fixed, so the floor is a function of the logs. A section on
+    which the robot falls is repeated at lower speed. For a robot that cannot walk at all the floor
+    is the sensors' noise by their data sheets and that of the reference, for a machine on a fixed
+    base the noise of its readings, and for one that is known by its feet alone that noise and
+    POINT_FEET_LEVELS.
 
     Args:
         cases: the logs under the declared model.

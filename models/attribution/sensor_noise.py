@@ -182,7 +182,8 @@ def _sampling(log: Log) -> ReferenceSampling | None:
         return None if every_row else ReferenceSampling(intervals, 0.0, 0.0)
     found = ReferenceSampling(intervals, noise.position, noise.angle, noise.stamp)
     start, step = log.meta.model.get(REFERENCE_SAMPLES, (0.0, 0.0))
-    if not every_row or step * log.rate < 1.0 + 1e-3:
+    # Samples further apart than two rows would have been told from rows in between.
+    if not (every_row and 1.0 + 1e-3 <= step * log.rate <= 2.0):
         return found
     then = np.arange((start - log.t[0]) % step, log.t[-1] - log.t[0], step)
     between = tuple(np.round(np.diff(then, prepend=0.0), 6))

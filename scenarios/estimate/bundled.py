@@ -369,8 +369,8 @@ class ObserverFusion(ImuStream):
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update when the observer has a velocity."""
         sample = check_sample(sample, self.filter.t)
-        each = {name: getattr(sample, name) for name in SIGNALS}
-        readings = {name: None if x is None else x[None] for name, x in each.items()}
+        each = ((name, getattr(sample, name)) for name in SIGNALS)
+        readings = {name: x[None] for name, x in each if x is not None}
         seen = self._stream.advance(np.array([sample.t]), readings)
         super().step(sample)
         if not len(seen.rows):
@@ -393,7 +393,7 @@ class ObserverFusion(ImuStream):
         if np.isnan(self.filter.t) and not more:
             seen = predict(self._observer, log, self._robot)
         else:
-            readings = {name: getattr(log, name) if log.has(name) else None for name in SIGNALS}
+            readings = {name: getattr(log, name) for name in SIGNALS if log.has(name)}
             seen = self._stream.advance(log.t, readings)
         imu = imu_samples(log.t, log.gyro, log.accel, self.filter.t)
         velocities = self._fusion.velocities(seen.rows, seen.v_I, seen.covariance, len(imu.t))

@@ -56,9 +56,11 @@ def case():
 @pytest.mark.parametrize("rate", [500, 250])
 def test_walks_of_the_floor_have_joints_as_noisy_as_the_log(rate):
     log, rng, added = case().log, np.random.default_rng(1), {"q": 1e-3, "dq": 0.04, "tau": 0.5}
+    finer = np.sqrt(500 / rate)  # as much over a second
     log = log.rows(slice(None, None, round(log.rate) // rate))
     columns = {
-        f"{group}_{joint}": log.columns[f"{group}_{joint}"] + rng.normal(0.0, size, len(log.t))
+        f"{group}_{joint}": log.columns[f"{group}_{joint}"]
+        + rng.normal(0.0, finer * size, len(log.t))
         for group, size in added.items()
         for joint in log.joints
     }
@@ -66,9 +68,9 @@ def test_walks_of_the_floor_have_joints_as_noisy_as_the_log(rate):
     quiet, noisy = (plan.sensors for one in cases if (plan := noise_floor([one]).plan))
     assert quiet == Sensors(rate=0.0 if rate == 500 else rate)
     assert noisy.rate == quiet.rate
-    assert noisy.encoder_noise == pytest.approx(1e-3, rel=0.2)
-    assert noisy.velocity_noise == pytest.approx(np.hypot(0.01, 0.04), rel=0.15)
-    assert noisy.torque_noise == pytest.approx(np.hypot(0.1, 0.5), rel=0.2)  # in steps of 0.1
+    assert noisy.encoder_noise == pytest.approx(1e-3 * finer, rel=0.2)
+    assert noisy.velocity_noise == pytest.approx(np.hypot(0.01, 0.04 * finer), rel=0.15)
+    assert noisy.torque_noise == pytest.approx(np.hypot(0.1, 0.5 * finer), rel=0.15)
 
 
 def test_held_out_logs_are_judged_where_the_floor_is_known():

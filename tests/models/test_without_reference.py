@@ -223,3 +223,9 @@ def test_noise_of_samples_hardly_slower_than_the_rows_is_not_underrated(log):
     assert found is not None
     assert_allclose(found.intervals[1:], true.intervals[0])
     assert found.angle == pytest.approx(true.angle, rel=0.15)
+    # Intervals that the rows contradict are not believed.
+    for wrong in ((seen.t[0], 1e9), (0.0, float("nan"))):
+        meta = replace(seen.meta, model=seen.meta.model | {"reference_samples": wrong})
+        found = reference_sampling(type(seen)(frame, meta, seen.name))
+        assert found is not None
+        assert found.intervals == ()
