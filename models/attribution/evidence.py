@@ -482,7 +482,7 @@ class _Linear:
             # Such a step moves contact changes by less than a row: their times are kept.
             same = (*same, *(name for name in self.fitted if channels()[name].of_events))
             inputs = under_model(self.parts.inputs, robot)
-        only = _event_channels(key) or self.fitted
+        only = event_channels(key) or self.fitted
         again = [name for name in self.fitted if name in only and name not in same]
         return filled(self.layout, inputs, again) - self.parts.table
 
@@ -507,7 +507,7 @@ class _Linear:
         which come from stances with more or fewer samples, and events that were lost or matched to
         a neighbour.
         """
-        kind, names, values = known_effects()[key[0]], _event_channels(key), one.values
+        kind, names, values = known_effects()[key[0]], event_channels(key), one.values
         shown = ~np.isin(one.columns, self.layout.of(*kind.traced.unseen_by))
         if names:
             shown = np.isin(one.columns, self.layout.of(*names))
@@ -538,7 +538,7 @@ class _Linear:
         return out
 
 
-def _event_channels(key: Key) -> tuple[str, ...]:
+def event_channels(key: Key) -> tuple[str, ...]:
     """Channels of an effect that shows only in the times of events; none for any other."""
     names = known_effects()[key[0]].traced_at(key[1]).channels
     of_events = all(name in channels() and channels()[name].of_events for name in names)

@@ -28,6 +28,7 @@ from surefoot.models.attribution.evidence import (
     Key,
     LogUnderModel,
     all_keys,
+    event_channels,
     linearise,
     slowest_rate,
     with_compensated,
@@ -56,8 +57,10 @@ least excess on one side: how runs differ is known from these runs alone.
 """
 LEAST_EXCESS = 6.0
 """Least excess [standard deviations] where nothing but the noise of readings is known."""
-BLOCKS_AGREE = 2.0
-"""Standard deviations between blocks of the logs that a size exceeds: a bad block is no effect."""
+AGREES = 2.0
+"""Standard deviations between blocks of the logs, and between channels, that a size exceeds: a bad
+block is no effect, and what one channel shows and another denies is another one.
+"""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 5, 1
@@ -279,6 +282,30 @@ class Chosen:
         """
         sizes = self.metric.without_blocks(self.keys, self.precision)
         return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
+
+    @cached_property
+    def between_channels(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the channels that would show them differ,
+        each by itself. Times of contacts count for what delays them alone: whatever moves a foot
+        also moves these.
+        """
+        parts, between = self.metric.alone, []
+        S = np.array([one.products(self.table, self.X, self.keys) for one in parts.values()])
+        of_events = np.array([channels()[name].of_events for name in parts])
+        for place, (key, size) in enumerate(zip(self.keys, self.sizes, strict=True), 1):
+            weights = np.maximum(S[:, place, place], 0.0)
+            tells = of_events == bool(event_channels(key))
+            tells &= np.sqrt(weights) * abs(size) > AGREES
+            moved = S[tells, place, 0] / weights[tells]
+            between.append(deviation_of_mean(moved, weights[tells]))
+        return np.array(between)
+
+    @property
+    def between(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) between blocks or channels, the larger."""
+        if not self.effects:
+            return np.zeros(0)
+        return np.maximum(self.between_blocks, self.between_channels)
 
     @cached_property
     def least_misfit(self) -> float:
@@ -513,6 +540,13 @@ class _State:
         """The least excess (k,) of candidates at these places: half for what every machine has."""
         return self.least_excess * np.where(self.problem.certain[at], 0.5, 1.0)
 
+    def least(self, at: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+        """Sizes (k,) from which candidates with these standard deviations would be named."""
+        prior, price = self.problem.prior[at], self.problem.price[at]
+        known = np.hypot(deviations, self.problem.unknown[at])
+        named = least_named(known, prior, price, self.least_excess_of(at))
+        return named + self.bias(at, deviations)
+
     def earned(self, keys: Sequence[Key], sizes: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """By how much the evidence for sizes with these standard deviations exceeds its price (k,);
         negative also where a size does not reach the least excess or is at its bound.
@@ -537,12 +571,26 @@ class _State:
         )
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
-        """As `earned`, of refined effects (k,), on whose sizes the logs' blocks must agree."""
+        """As `earned`, of refined effects (k,), on whose sizes blocks and channels must agree."""
         earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
         if not (earned > 0.0).any():
             return earned
-        agreed = np.abs(chosen.sizes) > BLOCKS_AGREE * chosen.between_blocks
+        agreed = np.abs(chosen.sizes) > AGREES * chosen.between
         return np.where(agreed, earned, np.minimum(earned, -1.0))
+
+
+def deviation_of_mean(values: np.ndarray, weights: np.ndarray) -> float:
+    """Standard deviation of the mean of values (n,) that differ by more than the noise that their
+    weights (n,), inverse variances, say: random effects (DerSimonian and Laird, Controlled Clinical
+    Trials 7, 1986). 0 of none.
+    """
+    if not len(values):
+        return 0.0
+    total = float(np.sum(weights))
+    Q = float(weights @ (values - weights @ values / total) ** 2)
+    free = total - float(weights @ weights) / total
+    between = (Q - (len(values) - 1)) / free if len(values) > 1 else 0.0
+    return float(np.sum(1.0 / (1.0 / weights + max(between, 0.0))) ** -0.5)
 
 
 def least_excess(error: ModelError) -> float:
@@ -618,8 +666,7 @@ def _as_candidates(state: _State, beside: _Beside) -> tuple[Candidate, ...]:
     gains = beside.sizes * beside.S[1:, 0]
     every = np.arange(len(problem.keys))
     deviations = np.hypot(beside.deviations, problem.unknown)
-    least = least_named(deviations, problem.prior, problem.price, state.least_excess)
-    least += state.bias(every, beside.deviations)
+    least = state.least(every, beside.deviations)
     out = []
     for i in np.argsort(-beside.evidence):
         name, target = problem.keys[i]
@@ -760,11 +807,12 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     if not low < one.value < high:
         bound = low if one.value <= low else high
         return f"its size is at its bound of {bound:.2g} {one.unit}"
-    if size <= BLOCKS_AGREE * chosen.between_blocks[place]:
-        excess = size / chosen.between_blocks[place]
-        return (
-            f"the log's blocks disagree on it: {excess:.1f} of {BLOCKS_AGREE:g} standard deviations"
-        )
+    for parts, between in (
+        ("the log's blocks", chosen.between_blocks[place]),
+        ("channels", chosen.between_channels[place]),
+    ):
+        if size <= AGREES * between:
+            return f"{parts} disagree on it: {size / between:.1f} of {AGREES:g} standard deviations"
     if gained <= 0.0:
         return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
     at = state.problem.at([chosen.keys[place]])
@@ -965,19 +1013,17 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
     half += bias
     deviations = np.hypot(np.sqrt(both), state.problem.unknown[at])
     excess = np.maximum(np.abs(chosen.sizes) - bias, 0.0) / deviations
-    prior, price = state.problem.prior[at], state.problem.price[at]
-    least = bias + least_named(deviations, prior, price, state.least_excess_of(at))
-    blocks = chosen.between_blocks if len(chosen.effects) else ()
+    least = state.least(at, np.sqrt(both))
     found = [
         Found(
             one,
             (one.value - h, one.value + h),
             excess=float(ratio),
             least=float(smallest),
-            agreement=abs(one.value) / max(block, 1e-300),
+            agreement=abs(one.value) / max(between, 1e-300),
         )
-        for one, h, ratio, smallest, block in zip(
-            chosen.effects, half, excess, least, blocks, strict=True
+        for one, h, ratio, smallest, between in zip(
+            chosen.effects, half, excess, least, chosen.between, strict=True
         )
     ]
     return tuple(sorted(found, key=lambda one: -one.excess))

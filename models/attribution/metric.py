@@ -78,6 +78,17 @@ class Metric:
         slices = self.known.layout.channels.values()
         return np.stack([of_columns[..., one].sum(axis=-1) for one in slices], axis=-1)
 
+    @cached_property
+    def alone(self) -> dict[str, "Metric"]:
+        """The metric of each channel by itself, of those with any entry that is used."""
+        parts = {}
+        for name, columns in self.known.layout.channels.items():
+            root = np.zeros_like(self.root)
+            root[:, columns] = self.root[:, columns]
+            if root.any():
+                parts[name] = replace(self, root=root)
+        return parts
+
     def squares(self, table: np.ndarray) -> np.ndarray:
         """Squared residual of each channel (channels,) in units of the noise, of a table (M, W)."""
         y = np.where(self.root > 0.0, np.nan_to_num(table) - self.expected, 0.0)

@@ -81,9 +81,9 @@ def sections(found: Trace) -> list[Section]:
     where = "held-out logs" if found.held_out else "the parts of the logs used by no fit"
     steps = "Names in capitals are of logs that you record."
     named = (
-        "An effect is named from the size that noise and errors of the model hardly reach, if it "
-        "agrees between blocks of the logs by more than 2 standard deviations; see the guide for "
-        "all criteria."
+        "An effect is named from the size that noise and errors of the model hardly reach, if "
+        "blocks of the logs and channels agree on it: by more than 2 standard deviations; see the "
+        "guide for all criteria."
     )
     levels = (
         f"Root mean square of means over {1e3 * found.averaged_over:.0f} ms, on {where}; turn-on "
@@ -207,7 +207,7 @@ def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
         row = _sized(found, key, f.effect.value)
         row |= {"low": f"{f.interval[0]:.4g}", "high": f"{f.interval[1]:.4g}"}
         if np.isfinite(f.excess):
-            deviations = {"standard deviations": f.excess, "between blocks": f.agreement}
+            deviations = {"standard deviations": f.excess, "agreement": f.agreement}
             row |= {"named from": f"{f.least:.3g}"}
             row |= {name: f"{x:.1f}" for name, x in deviations.items()}
         rows.append(row)

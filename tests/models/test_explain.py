@@ -4,12 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
 
 from studies.blind.outside_effects import OUTSIDE_EFFECTS
 from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
-from surefoot.models.attribution.explain import explain, problem_of, zeros_beside
+from surefoot.models.attribution.explain import (
+    deviation_of_mean,
+    explain,
+    problem_of,
+    zeros_beside,
+)
 from surefoot.models.attribution.judgement import (
     Unseen,
     channel_levels,
@@ -283,3 +292,36 @@ def test_bins_that_were_not_there_before_do_no_harm(case, floor_harm):
     levels = channel_levels(before, after, known, floor_harm)
     assert levels["leg_velocity"].after > 1.1 * levels["leg_velocity"].before
     assert not levels["leg_velocity"].worse
+
+
+def test_what_one_channel_shows_and_another_denies_is_not_found(floor):
+    """A body whose gyro and reference turn by 3 % more than its feet: the legs alone show a scale
+    of the gyro.
+    """
+    more = 0.03
+    log = walk(SCENARIO, SPOT, 3, [effect("gyro_scale", "z", more)], declared=False)
+    assert ("gyro_scale", "z") in names(explained(log_under_model(log, SPOT), floor))
+    yaw = np.unwrap(Rotation.from_quat(log.ref_q, scalar_first=True).as_euler("ZYX")[:, 0])
+    turn = Rotation.from_rotvec(np.outer(more * (yaw - yaw[0]), [0.0, 0.0, 1.0]))
+    q = (turn * Rotation.from_quat(log.ref_q, scalar_first=True)).as_quat(scalar_first=True)
+    v = turn.apply(log.ref_v)
+    p = log.ref_p[0] + cumulative_trapezoid(v, log.t, axis=0, initial=0.0)
+    columns = {
+        f"ref_{name}_{axis}": x
+        for name, axes, values in (("q", "wxyz", q), ("v", "xyz", v), ("p", "xyz", p))
+        for axis, x in zip(axes, values.T, strict=True)
+    }
+    turned = log.with_columns(columns)
+    found = explained(log_under_model(turned, SPOT), floor)
+    assert ("gyro_scale", "z") not in names(found)
+    assert any("channels" in why for _, why in found.rejected)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6), st.floats(0.01, 100.0))
+def test_a_mean_is_as_unsure_as_its_values_differ(values, weight):
+    """Of equal weights w: the variance of the values by Bessel's formula over n, and 1 / (n w) at
+    least.
+    """
+    found, n = deviation_of_mean(np.array(values), np.full(len(values), weight)), len(values)
+    expected = 1.0 / weight if n == 1 else max(1.0 / weight, np.var(values, ddof=1))
+    assert found == pytest.approx(np.sqrt(expected / n), rel=1e-6)
