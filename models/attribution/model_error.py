@@ -4,11 +4,13 @@ No model is exact. Its errors appear a little different in every run, and a fit 
 attributes them to effects that the machine does not have. In the residual of run r, linear in the C
 sizes of the catalogue,
 
-    y_r = X_r (c + u_r) + Z_r z_r + e_r,   c ~ N(0, a^2 D),   u_r ~ N(0, b^2 D)
+    y_r = X_r (c + u_r) + Z_r z_r + e_r,   c ~ N(0, a^2 D),   u_r ~ N(0, B^2 D)
 
 c is common to all runs, u_r belongs to one, z_r are its zeros and biases, and D scales all terms to
-the same residual. a, b and the noise of each group of columns maximise the likelihood of all runs
-by expectation maximisation (a mixed model: Laird and Ware, Biometrics 38, 1982).
+the same residual. B is diagonal, with one value for all terms that show most in one channel: runs
+differ more in forces, say, than in the motion of feet. a, B and the noise of each group of columns
+maximise the likelihood of all runs by expectation maximisation (a mixed model: Laird and Ware,
+Biometrics 38, 1982).
 """
 
 from collections.abc import Mapping, Sequence
@@ -72,21 +74,21 @@ NOTHING = 1e-9
 such as the mass of a link that turns about a vertical axis.
 """
 _START = (1.0, 0.02, 0.3)
-"""Initial a, b, and noise relative to the residual."""
+"""Initial a, B, and noise relative to the residual."""
 _ROUNDS = 100
 """Most rounds of the expectation maximisation."""
 _NEARLY = 0.02
-"""Change at convergence for simulated walks, in place of _SETTLED. They hardly differ, so that b
+"""Change at convergence for simulated walks, in place of _SETTLED. They hardly differ, so that B
 converges slowly, and from above: stopped early, it is too large rather than too small.
 """
 _FEWEST = 4
 """Fewest rounds: the noise settles first."""
 _AHEAD = 3.0
-"""Multiple of the step of b where it converges slowly (over-relaxation)."""
+"""Multiple of the step of B where it converges slowly (over-relaxation)."""
 _LEAST = 1e-9
 """Share of a group's squared residual below which what is left is rounding."""
 _SETTLED = 3e-3
-"""Relative change of a and b in a round at which it has converged."""
+"""Relative change of a and B in a round at which it has converged."""
 
 
 @dataclass(frozen=True)
@@ -309,11 +311,17 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     first = runs[0]
     sums, count = (np.sum([getattr(r, x) for r in runs], axis=0) for x in ("sums", "count"))
     scale = np.sqrt(sums[:, 0, 0] / count)
-    # Mean square of the residual, relative to its own, that one unit of each size makes.
-    strength = np.diag(np.tensordot(scale**-2.0, sums, 1))[1 : 1 + len(first.keys)] / count.sum()
-    shown = zip(first.keys, strength, strict=True)
-    terms = [key for key, one in shown if _is_term(key, first, limbs) and one > NOTHING]
-    D = 1.0 / strength[[first.keys.index(key) for key in terms]]
+    # Square of the residual, relative to its own, that one unit of each size makes (G, P).
+    shown = np.einsum("gii->gi", sums)[:, 1 : 1 + len(first.keys)] / scale[:, None] ** 2
+    strength = shown.sum(axis=0) / count.sum()
+    named = zip(first.keys, strength, strict=True)
+    terms = [key for key, one in named if _is_term(key, first, limbs) and one > NOTHING]
+    at = [first.keys.index(key) for key in terms]
+    D = 1.0 / strength[at]
+    # Of each term, the channel in which it shows most; its terms have one b.
+    channels = [[of == name for of, _ in groups] for name in dict.fromkeys(of for of, _ in groups)]
+    most_shown = np.argmax(np.array(channels, float) @ shown[:, at], axis=0)
+    kind, alike = np.unique(most_shown, return_inverse=True, return_counts=True)[1:]
     most_a, settled = np.inf, _SETTLED
     if first.simulated:
         # Nothing that a walk of the model seems to lack is larger than what machines lack.
@@ -321,31 +329,32 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
         D = 1.0 / (1.0 / D + most**-2.0)
         most_a, settled = 1.0, _NEARLY
     parts = [_Part.of(run, terms, limbs) for run in runs]
-    a, b, noise = _START[0], _START[1], _START[2] * scale
-    before, posterior = np.inf, None
+    a, b, noise = _START[0], np.full(len(alike), _START[1]), _START[2] * scale
+    before, posterior = np.full(len(alike), np.inf), None
     for round_ in range(_ROUNDS):
-        posterior = _posterior(parts, a**2 * D, b**2 * D, noise)
+        posterior = _posterior(parts, a**2 * D, b[kind] ** 2 * D, noise)
         next_a = np.sqrt(np.mean((posterior.mean**2 + np.diag(posterior.covariance)) / D))
-        next_b = np.sqrt(np.mean(posterior.differences / D))
-        step = np.log([min(next_a, most_a) / a, next_b / b])
+        next_b = np.sqrt(np.bincount(kind, posterior.differences / D) / alike)
+        step, moved = np.log(next_b / b), np.log(min(next_a, most_a) / a)
         a = float(min(next_a, most_a))
-        slow = 0.5 < step[1] / before < 1.5
-        b *= np.exp((_AHEAD if slow else 1.0) * step[1])
+        slow = np.abs(step / before - 1.0) < 0.5
+        b = b * np.exp(np.where(slow, _AHEAD, 1.0) * step)
         noise = np.maximum(posterior.noise, first.least)
-        before = step[1]
-        if np.abs(step).max() < settled and round_ >= _FEWEST:
+        before = step
+        if max(np.abs(step).max(), abs(moved)) < settled and round_ >= _FEWEST:
             break
     assert posterior is not None
+    per_run = b[kind] ** 2 * D
     covariance = 0.5 * (posterior.covariance + posterior.covariance.T)
     found = ModelError(
         runs=len(runs),
         keys=tuple(terms),
         mean=posterior.mean,
-        covariance=covariance + np.diag(b**2 * D),
+        covariance=covariance + np.diag(per_run),
         noise=dict(zip(first.groups, noise.tolist(), strict=True)),
         rates={joint: max(run.rates[joint] for run in runs) for joint in first.rates},
     )
-    return _with_spread(runs, found, a**2 * D, b**2 * D, limbs)
+    return _with_spread(runs, found, a**2 * D, per_run, limbs)
 
 
 @dataclass(frozen=True)
