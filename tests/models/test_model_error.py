@@ -73,6 +73,24 @@ def test_sizes_noise_and_their_spread_between_runs_are_recovered(known):
     assert list(known.noise.values()) == pytest.approx([0.3, 0.05], rel=0.05)
 
 
+def test_what_differs_between_runs_in_one_channel_does_not_in_another():
+    """Sizes that torques show differ by 0.1 from run to run; those that commands show are alike."""
+    rng, runs = np.random.default_rng(2), []
+    for _ in range(30):
+        X = np.zeros((2, 40, 2))
+        X[0, :, 0], X[1, :, 1] = rng.normal(size=(2, 40))
+        y = X @ [0.5 + 0.1 * rng.normal(), -0.2] + rng.normal(size=(2, 40)) * [[0.3], [0.05]]
+        rows = np.concatenate([y[..., None], X], axis=2)
+        groups = (("joint_torque", "one"), ("command", "one"))
+        runs.append(replace(sums_of(rows, KEYS[:2]), groups=groups))
+    found = model_error(runs, LIMBS)
+    assert found is not None
+    differs, alike = np.sqrt(np.diag(found.covariance))
+    assert differs == pytest.approx(0.1, rel=0.25)
+    # By noise, thirty runs tell a common size to 0.0015.
+    assert alike < 0.005
+
+
 def test_a_new_run_is_compared_with_the_covariance_of_an_unchanged_one(drawn, known):
     """The same from the covariance of all rows, which is never formed."""
     rows, run = drawn[0], sums_of(drawn[0])
