@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.error_series import NAMED_AXES, QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
@@ -30,7 +31,7 @@ from surefoot.scenarios.reporting.plotting import (
     single_axes,
 )
 from surefoot.sim.ground.terrain import HeightField
-from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.log import Log
 
 if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
@@ -114,8 +115,7 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
         epsilon: half widths of the bounds, (3,) or (M, 3) m/s.
     """
     rows = np.asarray(prediction.rows)
-    t, ok = log.t[rows], log.ref_ok[rows]
-    truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
+    t, (truth, ok) = log.t[rows], body_velocity(log, rows)
     predicted = np.asarray(prediction.v_I)
     half = np.broadcast_to(epsilon, predicted.shape)
     first, last, when = t[0], t[-1], ""
