@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 from surefoot.scenarios.datasets.index import IndexRow, fall_path, recipe
 from surefoot.scenarios.datasets.walk_file import walk_and_save
@@ -12,6 +13,8 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import whole_file
 from surefoot.sim.walking.batch import Job, known_robot
 
+T = TypeVar("T")
+R = TypeVar("R")
 PATIENCE = 20.0  # s to wait for the scheduler and a first worker
 
 
@@ -31,7 +34,28 @@ def walk_on_cluster(
         force: whether files there may be replaced.
         progress: called with the share done.
     """
-    if not jobs:
+    tasks = [(job, recipe(job)) for job in jobs]
+    for done, (place, found) in enumerate(run_on_cluster(address, _walk_remotely, tasks), 1):
+        values, content = found
+        row = IndexRow(**values)
+        if content:
+            path = folder / row.file if row.file else fall_path(folder, jobs[place])
+            with whole_file(path, force or bool(row.falls)) as temporary:
+                temporary.write_bytes(content)
+        yield row
+        progress(done / len(jobs))
+
+
+def run_on_cluster(
+    address: str, function: Callable[[T], R], arguments: Sequence[T]
+) -> Iterator[tuple[int, R]]:
+    """Map a function on the scheduler at `address`; yields indices in `arguments` and results as
+    completed.
+
+    A result stays with its worker until the next is requested. Raises SurefootError in one line
+    where the cluster is unreachable or lacks the function.
+    """
+    if not arguments:
         return
     try:
         from distributed import Client, as_completed
@@ -42,23 +66,17 @@ def walk_on_cluster(
         Client(address, timeout=PATIENCE, set_as_default=False) as client,
     ):
         client.wait_for_workers(1, timeout=PATIENCE)
-        futures = {client.submit(_walk_remotely, j, recipe(j), pure=False): j for j in jobs}
-        for done, future in enumerate(as_completed(list(futures), loop=client.loop), 1):
-            job, (values, content) = futures.pop(future), future.result()
-            row = IndexRow(**values)
-            if content:
-                path = folder / row.file if row.file else fall_path(folder, job)
-                with whole_file(path, force or bool(row.falls)) as temporary:
-                    temporary.write_bytes(content)
-            yield row
-            progress(done / len(jobs))
-            future.release()  # until then a result stays with its worker
+        futures = {client.submit(function, x, pure=False): i for i, x in enumerate(arguments)}
+        for future in as_completed(list(futures), loop=client.loop):
+            yield futures.pop(future), future.result()
+            future.release()
 
 
-def _walk_remotely(job: Job, expected: str) -> tuple[dict, bytes]:
-    """On a worker: the row of a job whose recipe is expected, and the log's file, empty if it fell
-    before the log began.
+def _walk_remotely(task: tuple[Job, str]) -> tuple[dict, bytes]:
+    """On a worker: the row of a job with its recipe, and the log's file, empty if it fell before
+    the log began.
     """
+    job, expected = task
     if recipe(job) != expected:
         raise SurefootError(
             f"robot {known_robot(job.robot).name}: a worker has another model of it, or another "

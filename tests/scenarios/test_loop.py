@@ -24,8 +24,8 @@ from surefoot.scenarios.trace.loop import (
     ends,
     inputs_of,
     loop,
-    rates_as_of,
     seen_as_measured,
+    with_rates,
 )
 from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
 from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walk
@@ -112,12 +112,11 @@ def test_it_says_how_the_imu_is_mounted_that_its_observer_learns_with(robot, log
 
 
 def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
-    assert rates_as_of(log, log) is log
-    bare = without(log, "dq_")
-    derived = rates_as_of(log, bare)
+    assert with_rates(log, True) is log
+    derived = with_rates(log, False)
     assert not np.array_equal(derived.dq, log.dq)
     # Of the past alone: what comes later changes nothing.
-    early = rates_as_of(log.rows(slice(0, 1000)), bare)
+    early = with_rates(log.rows(slice(0, 1000)), False)
     np.testing.assert_array_equal(early.dq, derived.dq[:1000])
 
 
