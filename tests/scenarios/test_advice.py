@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from estimates import metrics_of
+from recorded import as_recording
 from synthetic import without
 
 from surefoot import Learnt, Log, Robot, Scenario, import_log, run_filter, walk
@@ -242,11 +243,7 @@ def test_info_prints_lines_of_a_map_that_mend_the_contacts(walks, tmp_path, caps
     main(["info", f"{tmp_path}/walk.parquet"])
     said = capsys.readouterr().out
     lines = said[said.index("\n[contact]\n") :]
-    names = [name for name in log.columns if not name.startswith("contact_")]
-    columns = "".join(f'{name} = "{name}"\n' for name in names)
-    log.frame.to_csv(tmp_path / "walk.csv", index=False)
-    text = f'[robot]\nname = "spot_class"\n[columns]\n{columns}{lines}'
-    (tmp_path / "map.toml").write_text(text)
-    mended = import_log(tmp_path / "walk.csv", tmp_path / "map.toml")
+    of_robot = f'[robot]\nname = "spot_class"\n{lines}'
+    mended = import_log(*as_recording(tmp_path, without(log, "contact_"), more=of_robot))
     true, robot = walks["spot_class"], Robot.load("spot_class")
     assert rpe(with_contacts(true, mended.contact), robot) < 1.5 * rpe(true, robot)

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from processes import ended
+from recorded import as_recording
 from refusals import refused
 
 from surefoot import FilterSettings, Learnt, Robot, import_log
@@ -88,10 +89,7 @@ def test_a_log_of_another_robot_is_said_to_be(log):
 
 def test_an_imported_log_is_of_the_robot_in_the_file_that_its_map_names(log, tmp_path):
     (tmp_path / "mine.xml").write_text(robot_file("spot_class").read_text())
-    log.frame.to_csv(tmp_path / "mine.csv", index=False)
-    columns = "\n".join(f'{name} = "{name}"' for name in log.frame)
-    (tmp_path / "mine.toml").write_text(f"[columns]\n{columns}\n[robot]\nname = 'mine.xml'\n")
-    imported = import_log(tmp_path / "mine.csv", tmp_path / "mine.toml")
+    imported = import_log(*as_recording(tmp_path, log, "mine", "[robot]\nname = 'mine.xml'\n"))
     robot = Robot.for_log(imported)
     assert robot.file == tmp_path / "mine.xml"
     assert notes(imported, robot) == ()

@@ -4,7 +4,6 @@ import io
 import json
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -90,20 +89,6 @@ def test_what_is_not_there_is_said_before_anything_is_imported(line, message, an
     assert heavy == []
     assert message in said
     assert "\n" not in said
-
-
-@pytest.mark.parametrize(("given", "used"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
-def test_numpy_has_one_thread_unless_the_user_says_otherwise(given, used):
-    script = (
-        "import os, sys; from surefoot.scenarios.cli.start import entry_point\n"
-        "sys.argv = ['surefoot', '--version']\n"
-        "try: entry_point()\n"
-        "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
-    )
-    without = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
-    line, env = [sys.executable, "-c", script], without | given
-    run = subprocess.run(line, capture_output=True, text=True, env=env, check=False)
-    assert (run.returncode, run.stdout.split()[-1]) == (0, used)
 
 
 @pytest.mark.parametrize("name", ["OMP_NUM_THREADS", "MUJOCO_GL", "MPLBACKEND"])

@@ -22,7 +22,6 @@ from surefoot.scenarios.trace import loop_report
 from surefoot.scenarios.trace.loop import (
     RECIPE,
     ends,
-    inputs_of,
     loop,
     seen_as_measured,
     with_rates,
@@ -118,14 +117,6 @@ def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
     # Of the past alone: what comes later changes nothing.
     early = with_rates(log.rows(slice(0, 1000)), False)
     np.testing.assert_array_equal(early.dq, derived.dq[:1000])
-
-
-@pytest.mark.parametrize(
-    ("dropped", "inputs"),
-    [((), "gyro,accel,contact,feet"), (("contact_", "force_"), "gyro,accel,feet")],
-)
-def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
-    assert inputs_of(without(log, *dropped)) == inputs
 
 
 def test_another_loops_folder_is_left_alone(robot, log, tmp_path):
