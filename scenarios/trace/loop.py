@@ -42,7 +42,7 @@ from surefoot.scenarios.trace.loop_report import LoopStep, write_loop
 from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
-from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walks, held_out_walks
+from surefoot.scenarios.training.many_walks import DrawnWalks, OwnEffects, held_out_walks
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -264,7 +264,7 @@ def _learnt(robot: Robot, own: OwnEffects, log: Log, out: Path, settings: LoopSe
             "calibrate": settings.walks // 2,
         }
         walks = {
-            role: replace(drawn_walks(simulated, count, role, seed, own=own), seen_as=seen)
+            role: replace(DrawnWalks(simulated, role, seed, own=own).kept(count), seen_as=seen)
             for role, count in counts.items()
         }
         how = replace(TRAINING, inputs=inputs_of(log), seed=seed)

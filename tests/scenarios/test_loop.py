@@ -27,7 +27,7 @@ from surefoot.scenarios.trace.loop import (
     with_rates,
 )
 from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
-from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walk
+from surefoot.scenarios.training.many_walks import DrawnWalks, OwnEffects
 from surefoot.sim.common.files import bundled
 from surefoot.sim.walk import walk
 
@@ -88,7 +88,7 @@ def test_sizes_are_drawn_for_each_walk_from_their_intervals(robot):
 
 
 def _drawn(robot, number, own):
-    return drawn_walk(robot, (), 0, "train", number, 0, own)
+    return DrawnWalks(robot, "train", 0, own=own).walk(number, 0)
 
 
 def test_a_simulated_walk_is_seen_with_the_effects_compensated_as_found(robot, log):
