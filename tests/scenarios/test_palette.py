@@ -137,6 +137,14 @@ def errors():
     return train, test
 
 
+def test_the_bounds_figure_shows_shares_of_the_data(errors):
+    train, test = errors
+    for drawn in (error_bounds, error_distributions):
+        for k, ax in enumerate(drawn(train, test, EPSILON, 0.8).axes[:3]):
+            share = 100 * (np.abs(test[:, k]) <= EPSILON[k]).mean()
+            assert f"test {share:.1f} %" in ax.get_title()
+
+
 def test_the_motivating_figure_fits_a_gaussian_to_each(errors):
     """The fit drawn over each axis' errors has their mean and their spread."""
     biased = errors[1] + np.array([0.04, -0.05, 0.06])
@@ -147,7 +155,3 @@ def test_the_motivating_figure_fits_a_gaussian_to_each(errors):
             x, density = np.asarray(line.get_xydata()).T
             assert x[np.argmax(density)] == pytest.approx(e.mean(), abs=x[1] - x[0])
             assert density.max() == pytest.approx(1 / np.sqrt(2 * np.pi) / e.std(), rel=0.02)
-    for drawn in (figure, error_bounds(errors[0], biased, EPSILON, 0.8)):
-        for k, ax in enumerate(drawn.axes[:3]):
-            share = 100 * (np.abs(biased[:, k]) <= EPSILON[k]).mean()
-            assert f"test {share:.1f} %" in ax.get_title()
