@@ -36,7 +36,6 @@ from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import known_robot
 
 WALKING = "surefoot.sim.walk"
@@ -292,8 +291,7 @@ def make_recording(
         log, robot = replace(Log.read(walk.path), name=name), job.robot
         drawn = [one for one in filters if traits(one).drawn]
         found = compare_log(log, robot, learnt.load(gamma), drawn, progress=False)
-        ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
-        shown = found.recorded(ground)
+        shown = found.recorded()
         assert shown is not None  # a simulated walk has joints and a reference
         path.write_bytes(recording(shown, name))
         return {}

@@ -1,6 +1,6 @@
 """Figures of one walk: path, height, velocity, and the error of each estimator."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from surefoot.scenarios.reporting.plotting import (
     show_to_scale,
     single_axes,
 )
+from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import HeightField
 from surefoot.sim.log import Log
 
@@ -39,20 +40,14 @@ if TYPE_CHECKING:
 _HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
 
 
-def trajectories(
-    log: Log,
-    errors: Mapping[str, ErrorSeries],
-    patches: Sequence = (),
-    fields: Sequence[HeightField] = (),
-) -> Figure:
-    """Truth and estimates in the ground plane, with slippery patches and start and end marks.
+def trajectories(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
+    """Truth and estimates in the ground plane, with start and end marks and, where the log has
+    them, slippery patches and contour lines of the ground.
 
     Args:
         log: the walk, with a reference.
         errors: estimator name -> its aligned path
             (surefoot.scenarios.estimate.error_series.error_series).
-        patches: objects with center_x, center_y, size_x, size_y (m), mu, and optionally yaw (rad).
-        fields: height fields of the ground, drawn by contour lines.
     """
     everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
     span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
@@ -61,10 +56,11 @@ def trajectories(
     figure, ax = single_axes(width, height)
     margin = 0.06 * span.max()
     low, high = everywhere.min(axis=0) - margin, everywhere.max(axis=0) + margin
-    for field in fields:
-        _draw_contours(ax, field)
-    for patch in patches:
-        _draw_patch(ax, patch, low, high)
+    if ground := ground_of_log(log):
+        for field in ground.fields:
+            _draw_contours(ax, field)
+        for patch in ground.patches:
+            _draw_patch(ax, patch, low, high)
     x, y, _ = log.ref_p.T
     ax.plot(x, y, color=TRUTH, linewidth=3.5, label=_known(log), solid_capstyle="round")
     for name, error in errors.items():

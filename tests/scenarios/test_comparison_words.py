@@ -84,7 +84,7 @@ def test_the_imu_alone_is_drawn_where_nothing_else_ran(walk):
     health: Any = None
     imu = Result("imu", "arc", walk.trajectories["leg"], None, 0.0, health)
     alone = compare.Comparison(walk.log, walk.robot, (imu,), {}, None, None, {})
-    (drawn,) = [p.figure for p in compare._pictures(alone, None) if "position_error" in p.file]
+    (drawn,) = [p.figure for p in compare._pictures(alone) if "position_error" in p.file]
     assert isinstance(drawn, Figure)
     assert drawn.axes[0].lines
 
