@@ -229,7 +229,7 @@ def test_a_stamp_that_rounding_puts_behind_the_last_row_is_the_last_row(walk):
     assert np.arange(t[0], t[-1], 0.2)[-1] > t[-1]
     eyes, none = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     error = ErrorSeries(t, none, eyes, none, none, none, None, None, None, eyes)
-    write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot, np.ones(3))
+    write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot)
 
 
 def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):
