@@ -34,7 +34,7 @@ lint: setup
 types: setup
 	$(BIN)/pyright
 
-# Lines, classes and constants by room; fails above the limits of tests/size.py.
+# Lines by room; fails above the limits of tests/size.py.
 size:
 	$(PYTHON) tests/size.py
 

@@ -56,8 +56,6 @@ from surefoot.scenarios.settings import CompareSettings
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
-from surefoot.sim.ground.ground_metadata import ground_of_log
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
@@ -98,16 +96,14 @@ class Comparison:
         """A sentence for each filter that is not to be trusted."""
         return [r.health.sentence(r.filter) for r in self.results if r.health.lost]
 
-    def recorded(self, ground: Ground | None = None) -> RecordedWalk | None:
+    def recorded(self) -> RecordedWalk | None:
         """What a recording shows: the robot along its reference, with the estimates that are drawn;
         None where there is no robot, no joints or no reference.
-
-        ground: on which it walked; None draws that of the log, if any.
         """
         if self.robot is None or not (self.log.has("reference") and self.log.has("q")):
             return None
         drawn = {r.filter: r.trajectory for r in self.results if traits(r.filter).drawn}
-        return RecordedWalk(self.log, self.robot, drawn, self.prediction, self.bounds, ground)
+        return RecordedWalk(self.log, self.robot, drawn, self.prediction, self.bounds)
 
 
 def compare_log(
@@ -227,7 +223,6 @@ def write_comparison(
     comparisons: Sequence[Comparison],
     out: Path,
     title: str,
-    ground: Ground | None = None,
     extra: Sequence[Section] = (),
     kind: str = "png",
 ) -> pd.DataFrame:
@@ -237,7 +232,6 @@ def write_comparison(
         comparisons: one per log.
         out: folder.
         title: of the report.
-        ground: drawn in figures and recordings; None for that of each log, if any.
         extra: sections added to the report.
         kind: of the files of the figures: png, pdf or svg.
     """
@@ -246,10 +240,10 @@ def write_comparison(
     write_whole(out / "table.csv", to_csv(found))
     sections = _summary_sections(comparisons, found)
     for comparison in comparisons:
-        pictures = _pictures(comparison, ground or ground_of_log(comparison.log), kind)
+        pictures = _pictures(comparison, kind)
         heading = f"The log '{comparison.log.name}'"
         sections.append(Section(heading, _walk_prose(comparison), pictures=tuple(pictures)))
-        if walk := comparison.recorded(ground):
+        if walk := comparison.recorded():
             write_recording(out / f"{comparison.log.name}.rrd", walk)
     sections += [*extra, made_by()]
     write_report(out / "report.html", title, sections)
@@ -306,7 +300,7 @@ def _walk_prose(comparison: Comparison) -> str:
     return text + "."
 
 
-def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") -> list[Picture]:
+def _pictures(comparison: Comparison, kind: str = "png") -> list[Picture]:
     if not (comparison.log.has("reference") and comparison.results):
         return []
     truth = reference(comparison.log)
@@ -320,7 +314,7 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
     errors: dict[str, ErrorSeries] = {
         r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
     }
-    pictures = position_pictures(comparison.log, errors, ground, kind, same)
+    pictures = position_pictures(comparison.log, errors, kind, same)
     few = {name: errors[name] for name in shown_at_first(tuple(errors))}
     which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
     words = f"Errors of position, attitude and velocity, with three sigma.{which}"
@@ -330,26 +324,20 @@ def _pictures(comparison: Comparison, ground: Ground | None, kind: str = "png") 
 
 
 def position_pictures(
-    log: Log,
-    errors: Mapping[str, ErrorSeries],
-    ground: Ground | None,
-    kind: str = "png",
-    same: str = "",
+    log: Log, errors: Mapping[str, ErrorSeries], kind: str = "png", same: str = ""
 ) -> list[Picture]:
     """Paths, heights and position errors of estimates of a log.
 
     Args:
         log: with a reference.
         errors: of the estimates, by name.
-        ground: to draw, if it is known.
         kind: of the files.
         same: sentences on estimates that are left out.
     """
-    patches, fields = (ground.patches, ground.fields) if ground else ((), ())
     files = f"figures/{log.name}"
     return [
         Picture(
-            trajectories(log, errors, patches, fields),
+            trajectories(log, errors),
             f"The walk from above: reference and estimates, aligned at the start.{same}",
             f"{files}_trajectories.{kind}",
         ),

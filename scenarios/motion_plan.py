@@ -42,13 +42,11 @@ class Shown:
         deviation: standard deviation of its size after LONGEST_S, as a share of the prior's 95 %
             size.
         rival: the effect whose size is most correlated with it then; None below 0.5.
-        correlation: with that candidate.
     """
 
     seconds: float
     deviation: float
     rival: Key | None
-    correlation: float
 
 
 def motions(robot: Robot) -> dict[str, tuple[Segment, ...]]:
@@ -121,8 +119,7 @@ def _shown(information: np.ndarray, prior: np.ndarray, i: int, keys: Sequence[Ke
         enough = np.sqrt(covariance(middle)[i, i]) <= SHOWN * allowed
         low, high = (low, middle) if enough else (middle, high)
     seconds = high if share <= SHOWN else np.inf
-    near = abs(correlations[rival]) > 0.5
-    return Shown(seconds, share, keys[rival] if near else None, float(correlations[rival]))
+    return Shown(seconds, share, keys[rival] if abs(correlations[rival]) > 0.5 else None)
 
 
 def motion_table(found: dict[Key, dict[str, Shown]]) -> list[dict[str, object]]:

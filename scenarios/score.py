@@ -31,7 +31,6 @@ from surefoot.scenarios.reporting.tables import metrics_row, to_csv, to_markdown
 from surefoot.scenarios.settings import ScoreSettings
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import refuse_full, whole_folder, write_whole
-from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.log import Log
 
 LEVEL = 0.95
@@ -142,7 +141,7 @@ def _row(one: Scored) -> dict[str, Any]:
 def _sections(log: Log, found: Sequence[Scored], table: pd.DataFrame, kind: str) -> list[Section]:
     summary = error_summary(log.name, {one.name: one.metrics for one in found})
     errors = {one.name: one.errors for one in found}
-    pictures = position_pictures(log, errors, ground_of_log(log), kind)
+    pictures = position_pictures(log, errors, kind)
     words = "Errors of position, attitude and velocity, with three sigma."
     by_axis = Picture(errors_by_axis(errors), words, f"figures/{log.name}_errors.{kind}")
     glossary = [{"": name, "means": text} for name, text in _MEANINGS.items() if name in table]

@@ -45,16 +45,6 @@ def code_lines(text: str, tree: ast.Module) -> int:
     return len(lines - docs)
 
 
-def constants(tree: ast.Module) -> int:
-    """Number of names in capitals that a module assigns."""
-    found: list[ast.expr] = []
-    for node in tree.body:
-        found += node.targets if isinstance(node, ast.Assign) else ()
-        found += [node.target] if isinstance(node, ast.AnnAssign) else ()
-    names = [one for target in found for one in ast.walk(target) if isinstance(one, ast.Name)]
-    return sum(name.id.isupper() for name in names)
-
-
 def argument_count(function: _Function) -> int:
     """Number of arguments, self and cls not counted."""
     a = function.args
@@ -72,14 +62,12 @@ def room_of(path: Path) -> str:
 def main() -> int:
     """Print the size by room, and what exceeds a limit; returns the exit status."""
     listed = subprocess.run(["git", "ls-files", "*.py"], capture_output=True, text=True, check=True)
-    lines, classes, capitals, folders = Counter(), Counter(), Counter(), Counter()
+    lines, folders = Counter(), Counter()
     beyond: list[str] = []
     for path in map(Path, listed.stdout.split()):
         text, room = path.read_text(encoding="utf-8"), room_of(path)
         tree = ast.parse(text)
         lines[room] += code_lines(text, tree)
-        capitals[room] += constants(tree)
-        classes[room] += sum(isinstance(node, ast.ClassDef) for node in ast.walk(tree))
         if path.parts[0] not in PACKAGE:
             continue
         folders[path.parent.as_posix()] += path.stem != "__init__"
@@ -94,13 +82,9 @@ def main() -> int:
         for folder, count in sorted(folders.items())
         if count > MOST_FILES and folder not in LARGE_FOLDERS
     ]
-    print(f"{'':24}{'lines':>8}{'classes':>9}{'constants':>11}")
-    rows = [(room, [room]) for room in sorted(lines)]
-    rows.append(("package", [room for room in lines if room.split("/")[0] in PACKAGE]))
-    for name, rooms in rows:
-        sums = [sum(count[room] for room in rooms) for count in (lines, classes, capitals)]
-        print(f"{name:24}{sums[0]:8}{sums[1]:9}{sums[2]:11}")
-    total = sum(lines[room] for room in rows[-1][1])
+    total = sum(lines[room] for room in lines if room.split("/")[0] in PACKAGE)
+    for name, count in [*sorted(lines.items()), ("package", total)]:
+        print(f"{name:24}{count:8}")
     if total > MOST_LINES:
         beyond.append(f"package: {total} lines")
     limits = f"{MOST_LINES} lines, {MOST_FILES} files a folder, {MOST_ARGUMENTS} arguments"

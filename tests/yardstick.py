@@ -5,7 +5,7 @@ folder, runs the same probes there and here, and prints one table. Both run with
 are installed here. Results are stored by commit, so that an interrupted run is resumed; those of
 uncommitted changes by the difference. Run times, versions and paths are not compared.
 
-    python tests/yardstick.py [--start COMMIT] [--here COMMIT] [--only PROBE ...]
+    python tests/yardstick.py [--start COMMIT] [--only PROBE ...]
 
 Exits with 1 if anything differs. It takes a quarter of an hour on two idle cores, twice that for a
 new start.
@@ -35,6 +35,8 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 START = "27e71444"
 MEASURED = Path(os.environ.get("SUREFOOT_MEASURED") or CHECKOUT.parent / "shared" / "measured")
 CACHE = Path(os.environ.get("SUREFOOT_CACHE") or user_cache_path("surefoot", appauthor=False))
+WORKERS, SHOWN = 2, 3
+"""Probes at once, and differences of a probe that are printed."""
 IGNORED = {"step [us]", "versions"}
 """Columns of tables and keys of metadata that differ between runs or versions."""
 ROBOTS = ("spot_class", "v60_class")
@@ -215,7 +217,7 @@ def recording_of(probe: str) -> Path | None:
     return MEASURED / RECORDINGS[name][0] if name in RECORDINGS else None
 
 
-def run_probes(side: Side, names: Iterable[str], workers: int) -> None:
+def run_probes(side: Side, names: Iterable[str]) -> None:
     """Run the probes that have no results yet."""
 
     def run(name: str) -> None:
@@ -229,13 +231,13 @@ def run_probes(side: Side, names: Iterable[str], workers: int) -> None:
         finished.rename(side.results / name)
         shutil.rmtree(work)
 
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(WORKERS) as pool:
         for name, done in [(name, pool.submit(run, name)) for name in names]:
             done.result()
             print(f"{side.results.name}: {name}", file=sys.stderr)
 
 
-def results_of(commit: str | None, names: Iterable[str], workers: int) -> Path:
+def results_of(commit: str | None, names: Iterable[str]) -> Path:
     """Folder of results of a commit, None for the working tree; missing ones are made."""
     folder = CACHE / "yardstick"
     results = folder / _key(commit)
@@ -243,7 +245,7 @@ def results_of(commit: str | None, names: Iterable[str], workers: int) -> Path:
     if not missing:
         return results
     if commit is None:
-        run_probes(Side(CHECKOUT, results), missing, workers)
+        run_probes(Side(CHECKOUT, results), missing)
         return results
     # One checkout for all commits: kernels of files that two commits share are compiled once.
     checkout = folder / "checkout"
@@ -252,7 +254,7 @@ def results_of(commit: str | None, names: Iterable[str], workers: int) -> Path:
     else:
         _git("worktree", "prune")
         _git("worktree", "add", "--detach", str(checkout), commit)
-    run_probes(Side(checkout, results), missing, workers)
+    run_probes(Side(checkout, results), missing)
     return results
 
 
@@ -273,7 +275,7 @@ def _git(*arguments: str, cwd: Path = CHECKOUT) -> str:
     ).stdout
 
 
-def differences(before: Path, after: Path, tolerance: float) -> list[tuple[float, str]]:
+def differences(before: Path, after: Path) -> list[tuple[float, str]]:
     """(relative difference, words) of what differs between two folders of results, largest first;
     infinite for all but numbers.
     """
@@ -287,7 +289,7 @@ def differences(before: Path, after: Path, tolerance: float) -> list[tuple[float
             found.append((np.inf, f"{': '.join(key)} is {'new' if key in new else 'missing'}"))
             continue
         difference, words = _difference(old[key], new[key])
-        if difference > tolerance:
+        if difference > 0.0:
             found.append((difference, f"{': '.join(key)} {words}"))
     return sorted(found, key=lambda one: -one[0])
 
@@ -335,14 +337,14 @@ def _difference(old: Any, new: Any) -> tuple[float, str]:
     return float(relative[most]), f"{a[most]:.17g} -> {b[most]:.17g} ({relative[most]:.1e}{count})"
 
 
-def report(before: Path, after: Path, names: Iterable[str], args: argparse.Namespace) -> bool:
+def report(before: Path, after: Path, names: Iterable[str]) -> bool:
     """Print the table; returns whether anything differs."""
     print(f"\nstart {before.name}, here {after.name}\n\n| probe | result |\n| --- | --- |")
     differs = False
     for name in names:
-        found = differences(before / name, after / name, args.tolerance)
+        found = differences(before / name, after / name)
         differs |= bool(found)
-        shown = [words for _, words in found[: args.show]]
+        shown = [words for _, words in found[:SHOWN]]
         more = f"; {len(found) - len(shown)} more" if len(found) > len(shown) else ""
         print(f"| {name} | {'; '.join(shown) + more if found else 'same'} |")
     return differs
@@ -351,11 +353,7 @@ def report(before: Path, after: Path, names: Iterable[str], args: argparse.Names
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--start", default=START, help="commit to compare with")
-    parser.add_argument("--here", help="commit to compare instead of the working tree")
     parser.add_argument("--only", nargs="+", default=["all"], help=f"of {', '.join(PROBES)}")
-    parser.add_argument("--tolerance", type=float, default=0.0, help="relative, of numbers")
-    parser.add_argument("--workers", type=int, default=2, help="probes at once")
-    parser.add_argument("--show", type=int, default=3, help="differences of a probe to print")
     parser.add_argument("--cases", nargs="+", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.cases:
@@ -367,9 +365,9 @@ def main() -> None:
         if recording and not recording.exists():
             print(f"{name} is skipped: {recording} is not there")
             names.remove(name)
-    before = results_of(args.start, names, args.workers)
-    after = results_of(args.here, names, args.workers)
-    sys.exit(report(before, after, names, args))
+    before = results_of(args.start, names)
+    after = results_of(None, names)
+    sys.exit(report(before, after, names))
 
 
 if __name__ == "__main__":

@@ -27,10 +27,9 @@ class Condition:
         effects: of every robot, known to the filters only if `declared`.
         declared: whether the filters know the effects.
         imperfections: drawn for each seed, which represents one robot.
-        sensors: (name, value) of fields of `sim.sensors.streams.Sensors` that replace the
-            scenario's.
-        gait: (name, value) of fields of `sim.gait.options.GaitOptions`, likewise.
-        ranges: (name, value) of fields of `sim.scenario.Ranges`, likewise.
+        sensors: fields of `sim.sensors.streams.Sensors` that replace the scenario's.
+        gait: fields of `sim.gait.options.GaitOptions`, likewise.
+        ranges: fields of `sim.scenario.Ranges`, likewise.
         walked: gait, sensors and effects measured on a robot's walk, scaled to each robot
             (`sim.effects.carry`).
         learns: name of the condition whose walks observers and bounds are learnt from instead of
@@ -42,9 +41,9 @@ class Condition:
     effects: tuple[Effect, ...] = ()
     declared: bool = False
     imperfections: tuple[Imperfection, ...] = ()
-    sensors: tuple[tuple[str, float], ...] = ()
-    gait: tuple[tuple[str, float | str], ...] = ()
-    ranges: tuple[tuple[str, float | tuple[float, float]], ...] = ()
+    sensors: dict[str, float] = field(default_factory=dict, hash=False)
+    gait: dict[str, float | str] = field(default_factory=dict, hash=False)
+    ranges: dict[str, float | tuple[float, float]] = field(default_factory=dict, hash=False)
     walked: AsWalked | None = field(default=None, hash=False)
     learns: str | None = None
 
@@ -59,7 +58,7 @@ class Condition:
         if self.walked:
             scenario = self.walked.scenario(scenario)
         parts = {"sensors": self.sensors, "gait": self.gait, "ranges": self.ranges}
-        changed = {name: replace(getattr(scenario, name), **dict(x)) for name, x in parts.items()}
+        changed = {name: replace(getattr(scenario, name), **x) for name, x in parts.items()}
         scenario = replace(scenario, **changed)
         # A seed for each sequence, so that noise and ground differ between walks of one robot.
         own = crc32(f"{scenario.name}/{seed}".encode())
@@ -94,20 +93,8 @@ class ConditionTable:
         effects = load_effects(folder / self.effects) if self.effects else ()
         drawn = load_imperfections(folder / self.imperfections) if self.imperfections else ()
         walked = load_as_walked(folder / self.walked) if self.walked else None
-        sensors, gait = tuple(self.sensors.items()), tuple(self.gait.items())
-        ranges = tuple(self.ranges.items())
-        return Condition(
-            self.name,
-            self.words,
-            effects,
-            self.declared,
-            drawn,
-            sensors,
-            gait,
-            ranges,
-            walked,
-            self.learns,
-        )
+        read = {"effects": effects, "imperfections": drawn, "walked": walked}
+        return Condition(**vars(self) | read)
 
 
 def load_conditions(path: Path) -> tuple[Condition, ...]:

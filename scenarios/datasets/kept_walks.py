@@ -7,7 +7,6 @@ again.
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -98,14 +97,13 @@ def kept_walks(
         progress: called with the share done.
         workers: threads, by default one for each core.
     """
-    work, cores = partial(_attempted, draw, attempts), os.cpu_count() or 1
-    made = dict(on_threads(range(count), work, workers or cores, progress))
-    return KeptLogs({k: path for k in range(count) if (path := made[k])}, name)
+    folder, workers = cache_folder() / "training", workers or os.cpu_count() or 1
 
+    def standing(number: int, report: Report) -> tuple[int, Product | None]:
+        return number, standing_walk(folder, draw, attempts, number, report)
 
-def _attempted(draw: Draw, attempts: int, number: int, report: Report) -> tuple[int, Path | None]:
-    made = standing_walk(cache_folder() / "training", draw, attempts, number, report)
-    return number, made and made.path
+    made = dict(on_threads(range(count), standing, workers, progress))
+    return KeptLogs({k: one.path for k in range(count) if (one := made[k])}, name)
 
 
 def standing_walk(

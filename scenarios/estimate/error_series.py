@@ -70,31 +70,25 @@ def error_series(
     turned = aligned.R_GI @ reference.R_GI.transpose(0, 2, 1)
     attitude = Rotation.from_matrix(turned).as_rotvec()
     position_sigma = attitude_sigma = velocity_sigma = covariance = None
-    to_I, to_I_true = (x.R_GI.transpose(0, 2, 1) for x in (aligned, reference))
     if aligned.covariance is not None:
         S = aligned.covariance[:, :9, :9]
         J = vector_jacobian(aligned.p_GI, 6)
         covariance = J @ S @ J.swapaxes(1, 2)
         position_sigma = _sigma(J, S)
         attitude_sigma = _sigma(to_heading, S[:, :3, :3])
-        velocity_sigma = _sigma(to_I, S[:, 3:6, 3:6])
+        velocity_sigma = _sigma(aligned.R_GI.transpose(0, 2, 1), S[:, 3:6, 3:6])
     return ErrorSeries(
         t=aligned.t,
         p_GI=aligned.p_GI,
         R_GI=aligned.R_GI,
         position=aligned.p_GI - reference.p_GI,
-        attitude=_rotated(to_heading, attitude),
-        velocity=_rotated(to_I, aligned.v_GI) - _rotated(to_I_true, reference.v_GI),
+        attitude=(to_heading @ attitude[..., None])[..., 0],
+        velocity=aligned.v_I - reference.v_I,
         position_sigma=position_sigma,
         attitude_sigma=attitude_sigma,
         velocity_sigma=velocity_sigma,
         position_covariance=covariance,
     )
-
-
-def _rotated(R: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """R x for each row, (M, 3, 3) and (M, 3)."""
-    return (R @ x[..., None])[..., 0]
 
 
 def _sigma(J: np.ndarray, S: np.ndarray) -> np.ndarray:

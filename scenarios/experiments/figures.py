@@ -26,8 +26,8 @@ from surefoot.scenarios.reporting.plotting import (
     show_to_scale,
 )
 
-NOMINAL = 3.0  # NEES of a three-dimensional error
-FACTOR = 2.0  # from the nominal value that still counts as consistent
+FACTOR = 2.0
+"""Factor from CONSISTENT within which a mean NEES counts as consistent."""
 
 
 def by_sequence(

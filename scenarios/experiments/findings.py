@@ -7,9 +7,10 @@
 
 import pandas as pd
 
+from surefoot.estimator.metrics import CONSISTENT
 from surefoot.scenarios.compare import LOST_FROM
 from surefoot.scenarios.estimate.estimators import traits
-from surefoot.scenarios.experiments.figures import FACTOR, NOMINAL
+from surefoot.scenarios.experiments.figures import FACTOR
 from surefoot.scenarios.experiments.file import Experiment
 from surefoot.scenarios.reporting.tables import cell
 
@@ -78,10 +79,10 @@ def _consistency(parts: dict[str, pd.DataFrame]) -> str:
     found = []
     for condition, part in parts.items():
         nees = part.groupby("filter", sort=False)["NEES_pos"].mean()
-        inside = nees[(nees > NOMINAL / FACTOR) & (nees < NOMINAL * FACTOR)]
+        inside = nees[(nees > CONSISTENT / FACTOR) & (nees < CONSISTENT * FACTOR)]
         found.append(f"{', '.join(f'`{name}`' for name in inside.index) or 'none'} ({condition})")
     return (
-        f"Filters whose mean NEES of position is within a factor of {FACTOR:g} of {NOMINAL:g}, "
+        f"Filters whose mean NEES of position is within a factor of {FACTOR:g} of {CONSISTENT:g}, "
         f"which is consistent: {'; '.join(found)}."
     )
 

@@ -5,7 +5,7 @@ A product is stored under a digest of its inputs and of the code that makes it (
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from surefoot.scenarios.estimate.run import declared_model, feet_of, run_filter
 from surefoot.scenarios.estimate.settings import FilterSettings, StateSettings, tuned
 from surefoot.scenarios.experiments.facts import errors_over_time, estimate_facts
 from surefoot.scenarios.experiments.file import Cell, Experiment, Learning, cells_of
-from surefoot.scenarios.training.many_walks import ATTEMPTS, drawn_walk
+from surefoot.scenarios.training.many_walks import ATTEMPTS, DrawnWalks
 from surefoot.scenarios.viewer.recording import recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import json_digest
@@ -36,7 +36,6 @@ from surefoot.sim.common.sources import code_digest, sources_digest
 from surefoot.sim.effects import known_effects
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.walk import plan
 from surefoot.sim.walking.batch import known_robot
 
 WALKING = "surefoot.sim.walk"
@@ -84,9 +83,8 @@ def make_drawn_walk(folder: Path, robot: str, seed: int, role: str, number: int)
         role: one of `scenarios.training.many_walks.ROLES`.
         number: of the walk in its role.
     """
-    made = standing_walk(
-        folder, partial(drawn_walk, known_robot(robot), (), seed, role), ATTEMPTS, number
-    )
+    draw = DrawnWalks(known_robot(robot), role, seed).walk
+    made = standing_walk(folder, draw, ATTEMPTS, number)
     return made and replace(made, facts=made.facts | {"robot": robot, "declared": []})
 
 
@@ -293,8 +291,7 @@ def make_recording(
         log, robot = replace(Log.read(walk.path), name=name), job.robot
         drawn = [one for one in filters if traits(one).drawn]
         found = compare_log(log, robot, learnt.load(gamma), drawn, progress=False)
-        ground = plan(job.scenario, robot, job.seed, job.effects, job.declared).ground
-        shown = found.recorded(ground)
+        shown = found.recorded()
         assert shown is not None  # a simulated walk has joints and a reference
         path.write_bytes(recording(shown, name))
         return {}

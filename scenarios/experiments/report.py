@@ -10,12 +10,12 @@ from shutil import copyfile
 
 import pandas as pd
 
+from surefoot.estimator.metrics import CONSISTENT
 from surefoot.scenarios.datasets.simulate import seed_range
 from surefoot.scenarios.estimate.estimators import estimator_named, traits
 from surefoot.scenarios.experiments.catalog import SUITES
 from surefoot.scenarios.experiments.figures import (
     FACTOR,
-    NOMINAL,
     by_sequence,
     errors_figure,
     gamma_sweep,
@@ -190,7 +190,7 @@ def _published(name: str) -> list[Section]:
 
 def _pictures(main: pd.DataFrame, gamma: float) -> list[Picture]:
     shown = pd.DataFrame(main[[traits(name).drawn for name in main["filter"]]])
-    band = (NOMINAL / FACTOR, NOMINAL * FACTOR)
+    band = (CONSISTENT / FACTOR, CONSISTENT * FACTOR)
     pictures = [
         Picture(
             by_sequence(shown, "APE_trans [m]", "Position error by sequence"),

@@ -1,6 +1,6 @@
 """Figures of one walk: path, height, velocity, and the error of each estimator."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.error_series import NAMED_AXES, QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
@@ -29,8 +30,9 @@ from surefoot.scenarios.reporting.plotting import (
     show_to_scale,
     single_axes,
 )
+from surefoot.sim.ground.ground_metadata import ground_of_log
 from surefoot.sim.ground.terrain import HeightField
-from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.log import Log
 
 if TYPE_CHECKING:
     from surefoot.models.observer.predict import Prediction
@@ -38,20 +40,14 @@ if TYPE_CHECKING:
 _HILLS = "#A9A08C"  # of contour lines, as of the ground in recordings
 
 
-def trajectories(
-    log: Log,
-    errors: Mapping[str, ErrorSeries],
-    patches: Sequence = (),
-    fields: Sequence[HeightField] = (),
-) -> Figure:
-    """Truth and estimates in the ground plane, with slippery patches and start and end marks.
+def trajectories(log: Log, errors: Mapping[str, ErrorSeries]) -> Figure:
+    """Truth and estimates in the ground plane, with start and end marks and, where the log has
+    them, slippery patches and contour lines of the ground.
 
     Args:
         log: the walk, with a reference.
         errors: estimator name -> its aligned path
             (surefoot.scenarios.estimate.error_series.error_series).
-        patches: objects with center_x, center_y, size_x, size_y (m), mu, and optionally yaw (rad).
-        fields: height fields of the ground, drawn by contour lines.
     """
     everywhere = np.concatenate([log.ref_p[:, :2], *[e.p_GI[:, :2] for e in errors.values()]])
     span = np.maximum(np.ptp(everywhere, axis=0), 1.0)
@@ -60,10 +56,11 @@ def trajectories(
     figure, ax = single_axes(width, height)
     margin = 0.06 * span.max()
     low, high = everywhere.min(axis=0) - margin, everywhere.max(axis=0) + margin
-    for field in fields:
-        _draw_contours(ax, field)
-    for patch in patches:
-        _draw_patch(ax, patch, low, high)
+    if ground := ground_of_log(log):
+        for field in ground.fields:
+            _draw_contours(ax, field)
+        for patch in ground.patches:
+            _draw_patch(ax, patch, low, high)
     x, y, _ = log.ref_p.T
     ax.plot(x, y, color=TRUTH, linewidth=3.5, label=_known(log), solid_capstyle="round")
     for name, error in errors.items():
@@ -114,8 +111,7 @@ def velocity_figure(log: Log, prediction: "Prediction", epsilon: np.ndarray) -> 
         epsilon: half widths of the bounds, (3,) or (M, 3) m/s.
     """
     rows = np.asarray(prediction.rows)
-    t, ok = log.t[rows], log.ref_ok[rows]
-    truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
+    t, (truth, ok) = log.t[rows], body_velocity(log, rows)
     predicted = np.asarray(prediction.v_I)
     half = np.broadcast_to(epsilon, predicted.shape)
     first, last, when = t[0], t[-1], ""

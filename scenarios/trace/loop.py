@@ -42,7 +42,7 @@ from surefoot.scenarios.trace.loop_report import LoopStep, write_loop
 from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
 from surefoot.scenarios.trace.report import summary
 from surefoot.scenarios.trace.run import TraceOptions, trace
-from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walks, held_out_walks
+from surefoot.scenarios.training.many_walks import DrawnWalks, OwnEffects, held_out_walks
 from surefoot.sim.common.errors import SurefootError, check_seed
 from surefoot.sim.common.files import as_made, kept_json, refuse_full, write_whole
 from surefoot.sim.common.quaternion import quaternion_from_matrix
@@ -199,18 +199,16 @@ def _compensated(log: Log, robot: Robot, effects: Sequence[Effect]) -> tuple[Log
     """
     compensated, model = compensate_all(effects, log, robot)
     compensated = replace(compensated, meta=replace(compensated.meta, effects=()))
-    return rates_as_of(compensated, log), model
+    return with_rates(compensated, log.has("dq")), model
 
 
-def rates_as_of(log: Log, measured: Log) -> Log:
+def with_rates(log: Log, has_rates: bool) -> Log:
     """Give a log joint rates of the same origin as the measured log's.
 
     If that logs none, filters derive them from past angles, and so does this function.
     """
-    return log if measured.has("dq") else _with_derived_rates(log)
-
-
-def _with_derived_rates(log: Log) -> Log:
+    if has_rates:
+        return log
     kept = log.frame[[c for c in log.frame if not str(c).startswith("dq_")]]
     rates = joint_velocity(replace(log, frame=kept), causal=True)
     columns = {f"dq_{joint}": rates[:, i] for i, joint in enumerate(log.joints)}
@@ -240,7 +238,7 @@ def seen_as_measured(
     }
     declared = tuple(one.as_dict() for one in effects)
     log = replace(log, meta=replace(log.meta, effects=declared, model=log.meta.model | corrected))
-    return log if has_rates else _with_derived_rates(log)
+    return with_rates(log, has_rates)
 
 
 def _learnt(robot: Robot, own: OwnEffects, log: Log, out: Path, settings: LoopSettings) -> Learnt:
@@ -266,7 +264,7 @@ def _learnt(robot: Robot, own: OwnEffects, log: Log, out: Path, settings: LoopSe
             "calibrate": settings.walks // 2,
         }
         walks = {
-            role: replace(drawn_walks(simulated, count, role, seed, own=own), seen_as=seen)
+            role: replace(DrawnWalks(simulated, role, seed, own=own).kept(count), seen_as=seen)
             for role, count in counts.items()
         }
         how = replace(TRAINING, inputs=inputs_of(log), seed=seed)

@@ -118,16 +118,20 @@ def realism(
     if effects or settings.as_walked:
         walked = load_as_walked() if settings.as_walked else None
         compared.append(SimulatedRobot("as walked", effects, walked, walker))
-    found = _compared(log, robot, compared, seed, progress)
+    parts = len(compared)
+    found = [
+        compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / parts))
+        for k, one in enumerate(compared)
+    ]
     drifts = drift_table(found)
     rows = [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows]
     walker_name = found[0].simulated[0].robot.name
     title = f"Realism: {log.name} beside simulated walks of {walker_name}"
     cards = [Section(f"Realism card: {one.words}", "", card_table(one.card)) for one in found]
-    parts = realism_sections(found, drifts)
+    shown = realism_sections(found, drifts)
     with whole_folder(out, force) as folder:
         tables = {"realism": rows, "drift": drifts}
-        text = write_results(folder, title, [*parts, *cards], tables)
+        text = write_results(folder, title, [*shown, *cards], tables)
         values = json.dumps(_json(found) | {"drift": drifts}, indent=2)
         write_whole(folder / "realism.json", values + "\n")
     if settings.page:
@@ -135,7 +139,7 @@ def realism(
             Section("Realism card", "Every quantity.", rows, file="realism"),
             Section("Drift", f"The `{FILTER}` filter on each walk.", drifts, file="drift"),
         ]
-        write_page(settings.page, title, [*parts, *filed], origin_of(__name__, "surefoot realism"))
+        write_page(settings.page, title, [*shown, *filed], origin_of(__name__, "surefoot realism"))
     return text
 
 
@@ -184,16 +188,6 @@ def compare_walks(
     )
     card = realism_card(measured, walks, np.random.default_rng(seed), scales)
     return WalkComparison(simulating.words, measured, walks, card, pace)
-
-
-def _compared(
-    log: Log, robot: Robot, robots: Sequence[SimulatedRobot], seed: int, progress: Report
-) -> list[WalkComparison]:
-    """`compare_walks` with each of the robots to simulate."""
-    return [
-        compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / len(robots)))
-        for k, one in enumerate(robots)
-    ]
 
 
 def seen_as(log: Log, measured: Log, seed: Sequence[int]) -> Log:

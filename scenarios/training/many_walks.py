@@ -8,7 +8,7 @@ the gait, sensors and effects measured on a real robot.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 from itertools import takewhile
 from pathlib import Path
 
@@ -96,7 +96,7 @@ def many_walks(
     settings: WalksSettings, scenarios: Sequence[str] = (), role: str = "train"
 ) -> KeptLogs:
     """Simulate walks of a role: `settings.walks` to train on or to calibrate with, or as many as
-    are held out (`drawn_walks`).
+    are held out (`DrawnWalks`).
 
     Raises SurefootError where no robot is named, it cannot walk, or all walks are left out.
 
@@ -117,82 +117,66 @@ def many_walks(
     robots = {settings.robot} if settings.robot else {course.robot for course in courses}
     if len(robots) != 1 or (robot := next(iter(robots))) is None:
         raise SurefootError("walks: give one robot (--robot), since an observer is of one")
-    settled = known_robot(robot), count, role, settings.walk_seed
-    return drawn_walks(*settled, courses, workers=settings.workers)
+    walks = DrawnWalks(known_robot(robot), role, settings.walk_seed, courses)
+    return walks.kept(count, settings.workers)
 
 
-def drawn_walks(
-    robot: Robot,
-    count: int,
-    role: str,
-    seed: int,
-    courses: Sequence[Scenario] = (),
-    own: OwnEffects = OwnEffects(),
-    workers: int = 0,
-) -> KeptLogs:
-    """Simulate so many walks of a role, each as `drawn_walk`.
+@dataclass(frozen=True)
+class DrawnWalks:
+    """Walks of a role, each always the same by its number.
 
-    Walks in which the robot falls each time that they are drawn are left out, with a line. Raises
-    SurefootError where it cannot walk, or all walks are left out.
-
-    Args:
+    Attributes:
         robot: of them.
-        count: of walks.
         role: one of ROLES.
         seed: of all walks.
         courses: taken in turn; by default one is drawn for each walk.
         own: effects of this machine.
-        workers: walks at once, by default one for each core.
     """
-    if fault := why_not(robot):
-        raise SurefootError(f"robot {robot.name} cannot walk in simulation: {fault}")
-    check_space(cache_folder(), BYTES_PER_SECOND * SECONDS * count)
-    draw = partial(drawn_walk, robot, courses, seed, role, own=own)
-    with percent_bar(f"walking: {role}") as progress:
-        made = kept_walks(draw, count, ATTEMPTS, role, progress, workers)
-    if len(made) < count:
-        print(f"{role}: {count - len(made)} of {count} walks left out, on which the robot falls")
-    if not made:
-        raise SurefootError(f"walks: {robot.name} falls on every one")
-    return made
+
+    robot: Robot
+    role: str
+    seed: int
+    courses: Sequence[Scenario] = ()
+    own: OwnEffects = OwnEffects()
+
+    def walk(self, number: int, attempt: int) -> DrawnWalk:
+        """The walk of a number, drawn anew in each attempt."""
+        rng = np.random.default_rng([self.seed, ROLES.index(self.role), number, attempt])
+        if self.courses:
+            scenario = self.courses[number % len(self.courses)]
+        else:
+            scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
+        condition = _conditions()[rng.choice(list(SHARES), p=list(SHARES.values()))]
+        drawn = condition.walk(scenario, self.robot, int(rng.integers(2**31)))
+        known = {one.name for one in self.own.effects}
+        others = [one for one in drawn.effects if one.name not in known]
+        effects = [_resized(one, rng.uniform(*SIZES)) for one in others]
+        return replace(drawn, effects=[*effects, *self.own.drawn(rng, self.robot)])
+
+    def kept(self, count: int, workers: int = 0) -> KeptLogs:
+        """Simulate so many of them, `workers` at once, by default one for each core.
+
+        Walks in which the robot falls each time that they are drawn are left out, with a line.
+        Raises SurefootError where it cannot walk, or all walks are left out.
+        """
+        name, role = self.robot.name, self.role
+        if fault := why_not(self.robot):
+            raise SurefootError(f"robot {name} cannot walk in simulation: {fault}")
+        check_space(cache_folder(), BYTES_PER_SECOND * SECONDS * count)
+        with percent_bar(f"walking: {role}") as progress:
+            made = kept_walks(self.walk, count, ATTEMPTS, role, progress, workers)
+        left = count - len(made)
+        if left:
+            print(f"{role}: {left} of {count} walks left out, on which the robot falls")
+        if not made:
+            raise SurefootError(f"walks: {name} falls on every one")
+        return made
 
 
 def held_out_walks(walks: int) -> int:
     """Number of walks that are held out of so many to train on."""
     least, share = HELD_OUT
     return max(least, round(share * walks))
-
-
-def drawn_walk(
-    robot: Robot,
-    courses: Sequence[Scenario],
-    seed: int,
-    role: str,
-    number: int,
-    attempt: int,
-    own: OwnEffects = OwnEffects(),
-) -> DrawnWalk:
-    """One walk, always the same for the same arguments.
-
-    Args:
-        robot: that walks.
-        courses: of which each walk takes the next; by default one is drawn.
-        seed: of all walks.
-        role: of the walk, one of ROLES.
-        number: of the walk in its role.
-        attempt: of drawing it.
-        own: effects of this machine.
-    """
-    rng = np.random.default_rng([seed, ROLES.index(role), number, attempt])
-    if courses:
-        scenario = courses[number % len(courses)]
-    else:
-        scenario = drawn_course(f"drawn_{number}", SECONDS, rng)
-    condition = _conditions()[rng.choice(list(SHARES), p=list(SHARES.values()))]
-    drawn = condition.walk(scenario, robot, int(rng.integers(2**31)))
-    known = {one.name for one in own.effects}
-    effects = [_resized(one, rng.uniform(*SIZES)) for one in drawn.effects if one.name not in known]
-    return replace(drawn, effects=[*effects, *own.drawn(rng, robot)])
 
 
 def _resized(one: Effect, factor: float) -> Effect:

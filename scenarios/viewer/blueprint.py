@@ -43,9 +43,7 @@ def layout(
         tab: that is open initially.
     """
     shown = shown_at_first(estimators)
-    scene = rrb.Vertical(
-        _following(estimators, shown, trunk_size(robot)), _map(log, estimators, shown)
-    )
+    scene = rrb.Vertical(_following(estimators, shown, robot), _map(log, estimators, shown))
     scene.row_shares = [3, 2]
     distance = ("/distance", "Distance between estimate and truth [m], thin: the filter's own 3σ")
     errors = [_whole_walk(log, shown, *distance)] if estimators else []
@@ -85,14 +83,9 @@ def layout(
     )
 
 
-def _following(
-    estimators: Sequence[str], shown: Sequence[str], size: np.ndarray
-) -> rrb.Spatial3DView:
-    """View in a frame that moves with the robot without rotating, so the robot stays in view.
-
-    `size` is half of the trunk's (3,) [m].
-    """
-    place = 4.0 * size[0] * np.array([-0.9, -1.2, 0.8])
+def _following(estimators: Sequence[str], shown: Sequence[str], robot: Robot) -> rrb.Spatial3DView:
+    """View in a frame that moves with the robot without rotating, so the robot stays in view."""
+    place = 4.0 * trunk_size(robot)[0] * np.array([-0.9, -1.2, 0.8])
     boxes = ", boxes: its trunk as estimated" if estimators else ""
     return rrb.Spatial3DView(
         **_scene(estimators, shown, ("path", "body/dot", "ellipsoid"), ("robot/dot", "truth/path")),

@@ -19,7 +19,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import bundled, whole_file
 from surefoot.sim.common.toml import read_toml
 from surefoot.sim.ground.ground_metadata import ground_of_log
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 from surefoot.sim.robot import Robot
@@ -42,8 +41,6 @@ class RecordedWalk:
         trajectories: estimator name -> its estimate.
         prediction: the observer's rows (M,) of the log and v_I (M, 3) m/s there.
         bounds: of that observer; they are rotated to the robot's IMU if its mounting differs.
-        ground: on which the robot walked, as drawn with its seed; None draws that of the log, if
-            any.
     """
 
     log: Log
@@ -51,7 +48,6 @@ class RecordedWalk:
     trajectories: Mapping[str, Trajectory]
     prediction: Prediction | None = None
     bounds: Bounds | None = None
-    ground: Ground | None = None
 
 
 def write_recording(
@@ -92,7 +88,7 @@ def recording(walk: RecordedWalk, title: str, tab: str = EXPLANATION) -> bytes:
     stream.send_recording_name(str(log.meta.scenario or title))
     about = rr.TextDocument(_about(walk, errors), media_type="text/markdown")
     stream.log("/about", about, static=True)
-    write_scene(stream, log, robot, errors, walk.ground or ground_of_log(log))
+    write_scene(stream, log, robot, errors, ground_of_log(log))
     predicted = None if walk.prediction is None else walk.prediction.covariance
     epsilon = None if bounds is None else bounds.epsilon_at(robot.R_BI, predicted)
     write_velocity(stream, log, walk.prediction, epsilon)

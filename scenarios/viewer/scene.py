@@ -90,7 +90,7 @@ def write_scene(
     _write_robot(stream, log, robot)
     rows = rows_at(log, 20.0)
     _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
-    write_estimates(stream, errors, robot, trunk_size(robot))
+    write_estimates(stream, errors, robot)
     if log.has("contact"):
         _write_footprints(stream, log, robot)
 
@@ -202,7 +202,7 @@ def _write_footprints(stream: rr.RecordingStream, log: Log, robot: Robot) -> Non
 
 
 def write_estimates(
-    stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot, size: np.ndarray
+    stream: rr.RecordingStream, errors: Mapping[str, ErrorSeries], robot: Robot
 ) -> None:
     """Write each estimator's path, a box of the trunk's size at its pose, and the three-sigma
     ellipsoid of its position.
@@ -210,10 +210,9 @@ def write_estimates(
     Args:
         stream: the recording.
         errors: estimator name -> its aligned path.
-        robot: gives the IMU's position in the trunk.
-        size: (3,) m, half sizes of the trunk.
+        robot: gives the size of the trunk, and the IMU's position in it.
     """
-    first = shown_at_first(tuple(errors))
+    size, first = trunk_size(robot), shown_at_first(tuple(errors))
     for k, name in enumerate([*first, *(n for n in errors if n not in first)]):
         error = errors[name]
         color, root = estimator_color(name), estimate_path(name)

@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 
 from surefoot.estimator.evaluation.trajectory import UpdateRecord
+from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.error_series import QUANTITIES, ErrorSeries
 from surefoot.scenarios.reporting.palette import (
     BOUNDS,
@@ -22,7 +23,7 @@ from surefoot.scenarios.reporting.palette import (
 )
 from surefoot.scenarios.viewer.scene import rows_at, send_columns
 from surefoot.sim.effects.base import AXES
-from surefoot.sim.log import Log, reference_velocity
+from surefoot.sim.log import Log
 from surefoot.sim.physics.foot_truth import SLIPPING
 
 if TYPE_CHECKING:
@@ -51,8 +52,7 @@ def write_velocity(
     crosses = rr.SeriesPoints(
         colors=[rgba(OUTSIDE)], markers=["cross"], names=["Truth outside"], marker_sizes=[4.0]
     )
-    truth = np.einsum("nji,nj->ni", log.ref_R_GI[rows], reference_velocity(log)[rows])
-    t, ok = log.t[rows], log.ref_ok[rows]
+    t, (truth, ok) = log.t[rows], body_velocity(log, rows)
     for k, axis in enumerate(AXES):
         root = f"velocity/{axis}"
         _send(stream, f"{root}/truth", t[ok], truth[ok, k], _lines("Truth", TRUTH, 3.0))

@@ -12,6 +12,7 @@ import pandas as pd
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import check_unchanged, is_file
+from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.schema import JOINTS
@@ -71,8 +72,7 @@ def write_preview(
     if not name:
         raise SurefootError(f"scenario {source}: names no robot: say which")
     made = plan(scenario, Robot.load(name), seed)
-    walk = RecordedWalk(_course_log(made), made.robot, {}, ground=made.ground)
-    write_recording(path, walk, force)
+    write_recording(path, RecordedWalk(_course_log(made), made.robot, {}), force)
 
 
 def _course_log(made: Plan) -> Log:
@@ -89,7 +89,6 @@ def _course_log(made: Plan) -> Log:
     columns |= {f"ref_p_{a}": p for a, p in zip("xyz", p_GI.T, strict=True)}
     zero = np.zeros(len(ticks))
     columns |= {"ref_q_w": np.cos(half), "ref_q_x": zero, "ref_q_y": zero, "ref_q_z": np.sin(half)}
-    meta = Meta(
-        COURSE_RATE, robot=made.robot.name, scenario=f"{made.scenario.name}, before it is walked"
-    )
+    scenario, ground = f"{made.scenario.name}, before it is walked", ground_metadata(made.ground)
+    meta = Meta(COURSE_RATE, robot=made.robot.name, scenario=scenario, model=ground)
     return Log(pd.DataFrame(columns), meta, "course")

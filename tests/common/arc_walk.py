@@ -10,7 +10,8 @@ from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.predict import Prediction
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.ground.terrain import Patch
+from surefoot.sim.ground.ground_metadata import ground_metadata
+from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
@@ -25,7 +26,6 @@ class Walk(NamedTuple):
     trajectories: dict[str, Trajectory]
     prediction: Prediction
     bounds: Bounds
-    patches: tuple[Patch, ...]
 
 
 def make_walk(seconds: float) -> Walk:
@@ -52,7 +52,10 @@ def make_walk(seconds: float) -> Walk:
     for k, leg in enumerate(LEGS):
         columns |= {f"contact_{leg}": contact[:, k].astype(float), f"slip_{leg}": slip[:, k]}
         columns |= {f"mu_{leg}": np.full(len(t), 0.6)}
-    log = Log(pd.DataFrame(columns), Meta(rate=RATE, robot="spot_class", scenario="arc"))
+    x, y = p_GI[len(t) // 2, :2]
+    ground = ground_metadata(Ground(0.8, (Patch(x, y, 1.0, 1.5, 0.2),)))
+    meta = Meta(rate=RATE, robot="spot_class", scenario="arc", model=ground)
+    log = Log(pd.DataFrame(columns), meta)
     rows = np.arange(4, len(t), 5)
     error = rng.normal(0.0, 0.03, (len(rows), 3))
     v_I = np.einsum("nji,nj->ni", R_GI, v_GI)[rows] + error
@@ -73,5 +76,4 @@ def make_walk(seconds: float) -> Walk:
         "coverage": Trajectory(*right, record),
         "leg": Trajectory(t[rows], R_GI[rows], v_GI[rows], drift, zeros, zeros, covariance),
     }
-    x, y = p_GI[len(t) // 2, :2]
-    return Walk(log, robot, trajectories, prediction, bounds, (Patch(x, y, 1.0, 1.5, 0.2),))
+    return Walk(log, robot, trajectories, prediction, bounds)

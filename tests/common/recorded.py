@@ -32,6 +32,14 @@ def saved(path: Path, arrays: Mapping) -> Path:
     return path
 
 
+def as_recording(folder: Path, log: Log, name: str = "run", more: str = "") -> tuple[Path, Path]:
+    """A log as a table of text, and a map of it by its own names, with `more` at its end."""
+    columns = "".join(f'{column} = "{column}"\n' for column in log.frame)
+    rules = folder / f"{name}.toml"
+    rules.write_text(f"[columns]\n{columns}{more}")
+    return csv(folder, log.frame, f"{name}.csv"), rules
+
+
 def imported(files: Path | Sequence[Path], rules: str | Draft) -> Log:
     """The log of files by a map of this text, or by a draft as it is."""
     first = files if isinstance(files, Path) else files[0]

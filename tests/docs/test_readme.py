@@ -66,15 +66,6 @@ def test_the_table_goes_between_its_markers():
         readme_table.with_table("no markers", "| new |")
 
 
-def test_the_table_is_of_the_demo_and_says_so(tmp_path):
-    columns = ",".join(readme_table.COLUMNS)
-    rows = [f"{log},{name},{','.join('12345')}" for log, name in readme_table.ROWS]
-    (tmp_path / "table.csv").write_text("\n".join([f"log,filter,{columns}", *rows]) + "\n")
-    made = readme_table.table_of(tmp_path)
-    assert all(name in made for name in readme_table.ROWS.values())
-    assert "`surefoot demo` on commit `" in made
-
-
 def test_modules_of_0_1_0_are_listed_beside_modules_that_exist():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     table = text.partition("### Modules of 0.1.0")[2].partition("## 0.1.0")[0]

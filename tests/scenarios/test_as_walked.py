@@ -10,7 +10,7 @@ from surefoot import Scenario
 from surefoot.estimator.metrics import path_length
 from surefoot.scenarios.datasets.as_walked import load_as_walked
 from surefoot.scenarios.datasets.imperfections import Imperfection, load_imperfections
-from surefoot.scenarios.experiments.file import PLAIN, Cell, Experiment
+from surefoot.scenarios.experiments.file import PLAIN, Cell, Condition, Experiment
 from surefoot.sim.common.files import bundled
 from surefoot.sim.effects import effect
 from surefoot.sim.effects.carry import BodyScale, carried, scale_of
@@ -40,16 +40,21 @@ source = "a test as well"
 """
 
 
+def as_walked(suite: str, course: str) -> tuple[Condition, Scenario]:
+    """The condition of that name of a suite, and one of its courses."""
+    found = Experiment.load(suite)
+    condition = next(c for c in found.conditions if c.name == "as walked")
+    return condition, next(s for s in found.scenarios if s.name == course)
+
+
 def test_a_walk_has_the_gait_the_sensors_and_the_sizes_carried_to_its_robot(tmp_path):
     (tmp_path / "walked.toml").write_text(FILE)
     walked = load_as_walked(tmp_path / "walked.toml")
-    suite = Experiment.load("vision60")
-    condition = next(c for c in suite.conditions if c.name == "as walked")
-    slipped = next(s for s in suite.scenarios if s.name == "Slipped")
+    condition, slipped = as_walked("vision60", "Slipped")
     drawn = Cell(slipped, "v60_class", condition, 1).walk
-    as_walked = condition.walked
-    assert as_walked is not None
-    assert drawn.scenario.gait == replace(as_walked.gait, **as_walked.on_sheets)
+    measured = condition.walked
+    assert measured is not None
+    assert drawn.scenario.gait == replace(measured.gait, **measured.on_sheets)
     mine = walked.scenario(slipped)
     assert (mine.gait.duty, mine.sensors.contact_threshold) == (0.75, 0.2)
     assert mine.ground == slipped.ground
@@ -89,9 +94,7 @@ def test_the_bundled_scale_is_that_of_the_robot_that_walked():
 
 @pytest.mark.parametrize("course", ["Upstair", pytest.param("Downstair", marks=pytest.mark.long)])
 def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
-    suite = Experiment.load("spot")
-    condition = next(c for c in suite.conditions if c.name == "as walked")
-    whole = next(s for s in suite.scenarios if s.name == course)
+    condition, whole = as_walked("spot", course)
     flight = replace(whole, segments=whole.segments[:3], laps=1)
     walked = Cell(flight, "spot_class", condition, 0).walk.simulated()
     # Ten steps of 12 cm.
@@ -99,9 +102,7 @@ def test_a_robot_walks_a_flight_of_stairs_as_walked(course):
 
 
 def test_as_walked_a_course_keeps_its_length():
-    suite = Experiment.load("vision60")
-    condition = next(c for c in suite.conditions if c.name == "as walked")
-    course = next(s for s in suite.scenarios if s.name == "Slipped")
+    condition, course = as_walked("vision60", "Slipped")
     log = Cell(course, "v60_class", condition, 0).walk.simulated()
     assert path_length(log.t, log.ref_p) == pytest.approx(PAPER["Slipped"][0], rel=0.02)
 
@@ -147,8 +148,7 @@ def test_bad_imperfections_are_one_clear_line(tmp_path, text, said):
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_gears_as_stiff_as_real_ones_make_no_robot_fall_on_a_sheet(seed):
-    suite = Experiment.load("vision60")
-    course = next(s for s in suite.scenarios if s.name == "3CC3CCW")
+    _, course = as_walked("vision60", "3CC3CCW")
     start = replace(course, segments=course.segments[:2], laps=1)
     gears = (effect("leg_compliance", "all", 1e-4),)
     walked = replace(Cell(start, "v60_class", PLAIN, seed).walk, effects=gears).simulated()

@@ -116,12 +116,9 @@ def test_the_noise_of_its_reference_is_no_effect(robot, log):
     assert found.effects == (), found.verdict
 
 
-def test_it_does_not_walk_in_simulation(robot):
+def test_it_does_not_walk_in_simulation_nor_is_its_walk_imitated(robot, log):
     scenario = Scenario("tiny", (Segment(0.5, 0.2),), Ground(0.8))
     refused("only quadrupeds of three hinges a leg walk", walk, scenario, robot, 0)
-
-
-def test_a_walk_of_it_cannot_be_imitated(robot, log):
     refused("only quadrupeds of three hinges a leg walk", walking_style, log, robot)
 
 

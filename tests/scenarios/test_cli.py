@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from processes import ended
+from recorded import as_recording
 from refusals import refused
 
 from surefoot import FilterSettings, Learnt, Robot, import_log
@@ -75,28 +76,24 @@ def test_chosen_filters_alone_run_and_identical_ones_are_said_to_be(log, tmp_pat
     assert not (tmp_path / "no").exists()
 
 
+def notes(log: Log, robot: Robot) -> tuple[str, ...]:
+    return notes_on(log, robot, Learnt(), FilterSettings())
+
+
 def test_a_log_of_another_robot_is_said_to_be(log):
-    robots = Robot.load("spot_class"), Robot.load("v60_class")
-    said = [notes_on(log, robot, Learnt(), FilterSettings()) for robot in robots]
-    assert said[0] == ()
-    assert ["spot_class" in line and "v60_class" in line for line in said[1]] == [True]
-    unnamed = replace(log, meta=replace(log.meta, robot=""))
-    assert notes_on(unnamed, robots[1], Learnt(), FilterSettings()) == ()
+    robot = Robot.load("v60_class")
+    assert notes(log, Robot.load("spot_class")) == ()
+    assert ["spot_class" in line and "v60_class" in line for line in notes(log, robot)] == [True]
+    assert notes(replace(log, meta=replace(log.meta, robot="")), robot) == ()
 
 
 def test_an_imported_log_is_of_the_robot_in_the_file_that_its_map_names(log, tmp_path):
     (tmp_path / "mine.xml").write_text(robot_file("spot_class").read_text())
-    log.frame.to_csv(tmp_path / "mine.csv", index=False)
-    columns = "\n".join(f'{name} = "{name}"' for name in log.frame)
-    (tmp_path / "mine.toml").write_text(f"[columns]\n{columns}\n[robot]\nname = 'mine.xml'\n")
-    imported = import_log(tmp_path / "mine.csv", tmp_path / "mine.toml")
+    imported = import_log(*as_recording(tmp_path, log, "mine", "[robot]\nname = 'mine.xml'\n"))
     robot = Robot.for_log(imported)
     assert robot.file == tmp_path / "mine.xml"
-    assert notes_on(imported, robot, Learnt(), FilterSettings()) == ()
-    other = Robot.load("v60_class")
-    assert any(
-        "v60_class" in line for line in notes_on(imported, other, Learnt(), FilterSettings())
-    )
+    assert notes(imported, robot) == ()
+    assert any("v60_class" in line for line in notes(imported, Robot.load("v60_class")))
     # As 0.1.0 named it.
     by_file = replace(imported, meta=replace(imported.meta, robot=str(robot.file)))
-    assert notes_on(by_file, robot, Learnt(), FilterSettings()) == ()
+    assert notes(by_file, robot) == ()

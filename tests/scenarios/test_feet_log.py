@@ -17,10 +17,10 @@ from studies.measured import measured_folder
 from surefoot import Learnt, Log, Robot, import_log, read_recording
 from surefoot.estimator.evaluation.trajectory import Trajectory, with_mounting
 from surefoot.estimator.run import every_row
-from surefoot.extend import Beginning
 from surefoot.scenarios.cli.estimate import NOT_TRUSTED
 from surefoot.scenarios.estimate.estimators import estimator_named
 from surefoot.scenarios.estimate.run import (
+    begin,
     estimated,
     estimated_in_chunks,
     joined_trajectory,
@@ -71,9 +71,8 @@ def test_a_sample_at_a_time_and_pieces_give_the_same_numbers(feet):
     whole = estimated(one, feet, None, Learnt())
     cut = [feet.rows(slice(0, 501)), feet.rows(slice(501, len(feet.t)))]
     joined = joined_trajectory(estimated_in_chunks(one, cut, None, Learnt()))
-    at = Beginning(*FilterSettings().beginning(feet), feet.rate, feet=feet.legs)
-    stream = one.start(None, Learnt(), tuned(None).of(one), at)  # pyright: ignore[reportArgumentType]
-    steps = with_mounting(stepped(stream, feet, every_row(feet.t)), tuned(None).mounting)
+    alone = stepped(begin(one, feet, None, Learnt()), feet, every_row(feet.t))
+    steps = with_mounting(alone, tuned(None).mounting)
     for other in (joined, steps):
         for field in ("p_GI", "covariance"):
             np.testing.assert_allclose(getattr(other, field), getattr(whole, field), atol=1e-9)

@@ -44,7 +44,7 @@ def errors(walk):
 @pytest.fixture(scope="module")
 def drawn(walk, errors) -> dict[str, Figure]:
     return {
-        "trajectories": figures.trajectories(walk.log, errors, walk.patches),
+        "trajectories": figures.trajectories(walk.log, errors),
         "height": figures.height_figure(walk.log, errors),
         "axes": figures.errors_by_axis(errors),
     }
@@ -55,7 +55,7 @@ def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
     for figure in (
         figures.position_error(all_of_them),
         figures.height_figure(walk.log, all_of_them),
-        figures.trajectories(walk.log, all_of_them, walk.patches),
+        figures.trajectories(walk.log, all_of_them),
     ):
         png(figure)
         (legend,) = figure.legends
@@ -68,7 +68,7 @@ def test_no_legend_is_cut_off_where_every_estimator_is_drawn(walk, errors):
 @pytest.mark.parametrize("path", [(4.0, 4.0), (20.0, 2.0), (2.0, 20.0)])
 def test_a_path_of_any_shape_leaves_room_for_title_and_legend(path):
     ends = np.linspace(0.0, 1.0, 9)[:, None] * (*path, 0.0)
-    log: Any = SimpleNamespace(ref_p=ends, meta=SimpleNamespace(seed=0))
+    log: Any = SimpleNamespace(ref_p=ends, meta=SimpleNamespace(seed=0, model={}))
     estimate: Any = SimpleNamespace(p_GI=ends + 0.1, distance=np.full(9, 0.2))
     figure = figures.trajectories(log, {"leg": estimate, "coverage": estimate})
     png(figure)

@@ -19,12 +19,12 @@ from synthetic import synthetic_walk
 
 from surefoot import Bounds, Learnt, Robot, Sample, StreamingEstimator
 from surefoot.estimator.core.checks import DivergedError, SampleError
-from surefoot.extend import Beginning, Stream, SurefootError, samples
+from surefoot.extend import SurefootError, samples
 from surefoot.models.observer.observer import observer_of_torch
 from surefoot.scenarios.estimate import streaming
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.radar_velocity import RADAR_COLUMNS
-from surefoot.scenarios.estimate.settings import FilterSettings, tuned
+from surefoot.scenarios.estimate.run import begin
 from surefoot.sim.log import LEGS, Log
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "0.1.0"
@@ -60,13 +60,6 @@ def loop() -> tuple[Log, Robot, Learnt, tuple[Sample, ...]]:
     return log, robot, Learnt((observer,), (bounds,)), tuple(samples(log))
 
 
-def begun(name: str) -> Stream:
-    log, robot, learnt, _ = loop()
-    one = estimator_named(name)
-    at = Beginning(*FilterSettings().beginning(log), log.rate, log.joints, log.meta.derived)
-    return one.start(robot, learnt, tuned(robot).of(one), at)
-
-
 class InLoop(RuleBasedStateMachine):
     """A stream, the stamp of its last sample and the row of the walk that comes next."""
 
@@ -80,7 +73,7 @@ class InLoop(RuleBasedStateMachine):
         self.begin()
 
     def begin(self) -> None:
-        self.stream, self.t, self.row = begun(self.name), 0.0, 0
+        self.stream, self.t, self.row = begin(estimator_named(self.name), *loop()[:3]), 0.0, 0
         self.take(loop()[3][0], must=True)
 
     def next(self, after: float = PERIOD, **changed) -> Sample:

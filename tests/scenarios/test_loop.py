@@ -22,13 +22,12 @@ from surefoot.scenarios.trace import loop_report
 from surefoot.scenarios.trace.loop import (
     RECIPE,
     ends,
-    inputs_of,
     loop,
-    rates_as_of,
     seen_as_measured,
+    with_rates,
 )
 from surefoot.scenarios.trace.realism import beyond_simulated, simulated_robot
-from surefoot.scenarios.training.many_walks import OwnEffects, drawn_walk
+from surefoot.scenarios.training.many_walks import DrawnWalks, OwnEffects
 from surefoot.sim.common.files import bundled
 from surefoot.sim.walk import walk
 
@@ -89,7 +88,7 @@ def test_sizes_are_drawn_for_each_walk_from_their_intervals(robot):
 
 
 def _drawn(robot, number, own):
-    return drawn_walk(robot, (), 0, "train", number, 0, own)
+    return DrawnWalks(robot, "train", 0, own=own).walk(number, 0)
 
 
 def test_a_simulated_walk_is_seen_with_the_effects_compensated_as_found(robot, log):
@@ -112,21 +111,12 @@ def test_it_says_how_the_imu_is_mounted_that_its_observer_learns_with(robot, log
 
 
 def test_rates_are_those_that_a_filter_has_of_the_measured_log(log):
-    assert rates_as_of(log, log) is log
-    bare = without(log, "dq_")
-    derived = rates_as_of(log, bare)
+    assert with_rates(log, True) is log
+    derived = with_rates(log, False)
     assert not np.array_equal(derived.dq, log.dq)
     # Of the past alone: what comes later changes nothing.
-    early = rates_as_of(log.rows(slice(0, 1000)), bare)
+    early = with_rates(log.rows(slice(0, 1000)), False)
     np.testing.assert_array_equal(early.dq, derived.dq[:1000])
-
-
-@pytest.mark.parametrize(
-    ("dropped", "inputs"),
-    [((), "gyro,accel,contact,feet"), (("contact_", "force_"), "gyro,accel,feet")],
-)
-def test_an_observer_reads_what_the_measured_log_has(log, dropped, inputs):
-    assert inputs_of(without(log, *dropped)) == inputs
 
 
 def test_another_loops_folder_is_left_alone(robot, log, tmp_path):

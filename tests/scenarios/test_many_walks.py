@@ -1,7 +1,6 @@
 """Walks to train on: the same when drawn again, kept, and left out where a robot cannot walk."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from surefoot.scenarios.datasets.kept_walks import DrawnWalk
 from surefoot.scenarios.settings import WalksSettings
 from surefoot.scenarios.training import many_walks
 from surefoot.scenarios.training.drawn_course import COMMANDS, drawn_course
-from surefoot.scenarios.training.many_walks import drawn_walk
+from surefoot.scenarios.training.many_walks import DrawnWalks
 from surefoot.sim.gait.options import PLAIN_GAIT
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.robot import Robot
@@ -20,19 +19,20 @@ from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import Fallen, walk
 
 pytestmark = pytest.mark.usefixtures("own_cache")
-DRAWN = partial(drawn_walk, Robot.load("spot_class"), ())
+ROBOT = Robot.load("spot_class")
+DRAWN = DrawnWalks(ROBOT, "train", 0)
 
 
 def test_a_walk_is_the_same_when_drawn_again_and_another_in_each_role_and_attempt():
-    again = [DRAWN(0, "train", 3, 0).inputs for _ in range(2)]
-    assert again[0] == again[1]
-    others = [DRAWN(*one).inputs for one in ((1, "train", 3, 0), (0, "test", 3, 0))]
-    others += [DRAWN(0, "train", 3, 1).inputs, DRAWN(0, "train", 4, 0).inputs]
-    assert len({repr(one) for one in (again[0], *others)}) == 5
+    first = DRAWN.walk(3, 0).inputs
+    assert DRAWN.walk(3, 0).inputs == first
+    others = [replace(DRAWN, seed=1).walk(3, 0), replace(DRAWN, role="test").walk(3, 0)]
+    others += [DRAWN.walk(3, 1), DRAWN.walk(4, 0)]
+    assert len({repr(first), *(repr(one.inputs) for one in others)}) == 5
 
 
 def test_walks_have_both_gaits_and_all_grounds():
-    drawn = [DRAWN(0, "train", number, 0) for number in range(40)]
+    drawn = [DRAWN.walk(number, 0) for number in range(40)]
     gaits = {one.scenario.gait == PLAIN_GAIT for one in drawn}
     grounds = [one.scenario.ground for one in drawn]
     assert gaits == {True, False}
@@ -78,9 +78,7 @@ def test_a_course_lasts_as_long_as_asked():
 
 def test_own_scenarios_are_taken_in_turn():
     courses = [Scenario(name, (Segment(1.0, 0.4),), Ground(0.8), "spot_class") for name in "ab"]
-    walks = [
-        drawn_walk(Robot.load("spot_class"), courses, 0, "train", number, 0) for number in range(3)
-    ]
+    walks = [replace(DRAWN, courses=courses).walk(number, 0) for number in range(3)]
     assert [one.scenario.name for one in walks] == ["a", "b", "a"]
 
 

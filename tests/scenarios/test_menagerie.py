@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from courses import course_file
 
 from studies.measured import measured_folder
 from surefoot.scenarios.cli.main import COMMANDS, main
@@ -21,30 +22,15 @@ ROBOTS = {
 OF_NO_ROBOT = {"suite", "demo", "new"}
 TOO_LONG = {"loop", "tune", "realism"}
 """Made of those that run here, and minutes each."""
-COURSE = """
-name = "yard"
-laps = 3
-robot = "spot_class"
-
+COURSE = """turn = 0.05
 [ground]
 mu = 0.8
-
 [[ground.patch]]
 center = [3.0, 0.0]
 size = [1.0, 2.0]
 mu = 0.3
-
 [ranges]
 speed = [0.8, 1.2]
-
-[[segment]]
-duration = 7.0
-forward = 0.5
-
-[[segment]]
-duration = 6.0
-forward = 0.4
-turn = 0.5
 """
 GRID = """
 title = "A robot that others drew"
@@ -97,7 +83,7 @@ def test_a_robot_of_the_menagerie_goes_through_the_readmes_commands(name, tmp_pa
         pytest.skip(f"no models in {MODELS}")
     monkeypatch.chdir(tmp_path)
     robot = MODELS / ROBOTS[name]
-    Path("yard.toml").write_text(COURSE)
+    course_file(tmp_path, 39.0, COURSE, "yard")
     Path("grid.toml").write_text(GRID.format(robot=robot))
     for line in LINES.format(robot=robot, name=name).split("\n"):
         main(line.split()) if line else None

@@ -13,7 +13,7 @@ from warming import GyroWarming
 
 from studies.blind.outside_effects import ThermalGyroDrift
 from surefoot import Robot, Scenario, walk
-from surefoot.extend import AXES, Effect, Estimator, Ground, Segment
+from surefoot.extend import AXES, Effect, Ground, Segment
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.scenarios.cli.main import main
 from surefoot.sim.effects import CATALOGUE, add
@@ -149,8 +149,3 @@ def test_a_name_that_will_not_do_is_one_line(name, tmp_path, monkeypatch):
     with pytest.raises(SystemExit, match=r"already|module's name"):
         main(["new", "estimator", name])
     assert not list(tmp_path.iterdir())
-
-
-def test_the_contract_is_what_the_skeleton_has(folder):
-    text = (folder / "two_feet.py").read_text()
-    assert all(f"{name} " in text or f"def {name}" in text for name in Estimator.__annotations__)

@@ -46,11 +46,6 @@ def test_an_mse_observer_is_refused_where_a_covariance_is_needed(walks, robot, l
     refused(r"loss gml, .*covariance; given: mse", run_filter, "velocity", walks[2], robot, mse)
 
 
-def test_bounds_of_another_observer_are_refused(walks, robot, learnt):
-    mixed = Learnt(learnt.observers[:1], learnt.bounds[1:])
-    refused("another observer", run_filter, "coverage", walks[2], robot, mixed)
-
-
 def test_coverage_holds_exactly_the_bounds_it_was_given(compared, learnt):
     result = next(r for r in compared.results if r.filter == "coverage")
     updates = result.trajectory.updates

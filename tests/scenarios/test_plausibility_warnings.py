@@ -6,6 +6,7 @@ from dataclasses import replace
 import pyarrow.parquet as pq
 import pytest
 from processes import ended
+from recorded import as_recording
 from synthetic import resting
 
 from surefoot.scenarios.cli.main import main
@@ -18,21 +19,19 @@ WORDS = "accel_x, accel_y, accel_z: in g, not m/s^2"
 def in_g(tmp_path):
     """A file of an IMU at rest for four seconds that reads g, and its map."""
     log = resting(4.0, 200.0, gravity=1.0)
-    log.frame.to_csv(tmp_path / "run.csv", index=False)
-    columns = "".join(f'{name} = "{name}"\n' for name in log.frame)
-    (tmp_path / "map.toml").write_text(f"[columns]\n{columns}")
+    as_recording(tmp_path, log)
     log.write(tmp_path / "log.parquet")
     return tmp_path
 
 
 def test_import_warns_and_the_log_keeps_it(in_g, capsys):
-    main(f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet".split())
+    main(f"import {in_g}/run.csv --map {in_g}/run.toml -o {in_g}/made.parquet".split())
     assert f"warning: run: {WORDS}" in capsys.readouterr().err
     assert any(WORDS in line for line in Log.read(in_g / "made.parquet").meta.warnings)
 
 
 def test_strict_refuses_with_a_line_each_and_writes_nothing(in_g, capsys):
-    line = f"import {in_g}/run.csv --map {in_g}/map.toml -o {in_g}/made.parquet --strict"
+    line = f"import {in_g}/run.csv --map {in_g}/run.toml -o {in_g}/made.parquet --strict"
     assert "strict: 1 implausible finding in run" in str(ended(line))
     said = capsys.readouterr()
     assert f"error: run: {WORDS}" in said.err

@@ -19,6 +19,7 @@ from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.scenarios.viewer.scene import write_estimates
 from surefoot.scenarios.viewer.shapes import geom_shapes
 from surefoot.sim.common.quaternion import matrix_from_quaternion
+from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.height_map import height
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log
@@ -46,16 +47,14 @@ class Contents:
         return np.array(self.moving[entity][component])
 
 
-def written(path: Path, walk: Walk, ground: Ground | None = None, **options) -> Contents:
-    write_recording(path, RecordedWalk(*walk[:5], ground), **options)
+def written(path: Path, walk: Walk) -> Contents:
+    write_recording(path, RecordedWalk(*walk))
     return Contents(path)
 
 
 @pytest.fixture(scope="module")
 def contents(walk, tmp_path_factory) -> Contents:
-    return written(
-        tmp_path_factory.mktemp("recording") / "walk.rrd", walk, ground=Ground(0.8, walk.patches)
-    )
+    return written(tmp_path_factory.mktemp("recording") / "walk.rrd", walk)
 
 
 def test_the_robot_stands_where_the_reference_says_at_50_hz(contents, walk):
@@ -150,7 +149,8 @@ def test_colours_are_those_of_the_palette(contents):
 def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
     ramp = Strip((-1.0, 2.0), (3.0, 2.0), 8.0, heights=(0.0, 0.4))
     ground = Ground(0.8, strips=(ramp,))
-    contents = written(tmp_path / "ramp.rrd", walk, ground=ground)
+    meta = replace(walk.log.meta, model=ground_metadata(ground))
+    contents = written(tmp_path / "ramp.rrd", walk._replace(log=replace(walk.log, meta=meta)))
     p = contents.values("/world/shadow", "Transform3D:translation")[:, 0]
     above = [z - height(ground.height_map, x, y) for x, y, z in p]
     np.testing.assert_allclose(above, 0.01, atol=1e-5)
@@ -229,7 +229,7 @@ def test_a_stamp_that_rounding_puts_behind_the_last_row_is_the_last_row(walk):
     assert np.arange(t[0], t[-1], 0.2)[-1] > t[-1]
     eyes, none = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     error = ErrorSeries(t, none, eyes, none, none, none, None, None, None, eyes)
-    write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot, np.ones(3))
+    write_estimates(rr.RecordingStream("rounding"), {"leg": error}, walk.robot)
 
 
 def test_slip_keeps_the_peak_of_every_ten_milliseconds(contents, walk):

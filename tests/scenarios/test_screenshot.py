@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from rerun.experimental import ViewerClient
 
 from surefoot.scenarios.reporting.palette import OBSERVER, estimator_color, friction_color, rgba
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
+from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground, Strip
 
 pytestmark = pytest.mark.pictures
@@ -118,8 +120,7 @@ def near(image: np.ndarray, color: str, tolerance: int = 30) -> int:
 
 def test_the_picture_shows_robot_ground_estimates_and_series(viewer, walk: Walk, tmp_path):
     recording = tmp_path / "walk.rrd"
-    shown = RecordedWalk(*walk[:5], ground=Ground(0.8, walk.patches))
-    write_recording(recording, shown, tab="Overview")
+    write_recording(recording, RecordedWalk(*walk), tab="Overview")
     image = picture(viewer, recording, 2.0, tmp_path / "walk.png")
     rows, columns, _ = image.shape
     scene, plots = image[:, : columns // 2], image[:, columns // 2 :]
@@ -144,9 +145,10 @@ def test_stairs_slopes_and_bumps_are_in_the_picture(viewer, walk: Walk, tmp_path
         rough.roughened(np.random.default_rng(0)),
     )
     images = []
-    for name, ground in (("level", Ground(0.8)), ("course", Ground(0.8, walk.patches, 20, strips))):
+    for name, ground in (("level", Ground(0.8)), ("course", Ground(0.8, (), 20, strips))):
         recording = tmp_path / f"{name}.rrd"
-        write_recording(recording, RecordedWalk(*walk[:3], ground=ground))
+        meta = replace(walk.log.meta, model=ground_metadata(ground))
+        write_recording(recording, RecordedWalk(replace(walk.log, meta=meta), *walk[1:3]))
         images.append(picture(viewer, recording, 2.0, tmp_path / f"{name}.png"))
     level, course = images
     scene = np.s_[:, : level.shape[1] // 2]

@@ -9,15 +9,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from synthetic import without
 
-from surefoot import Learnt, Log, Robot, Scenario, StreamingEstimator, walk
+from surefoot import Learnt, Log, Scenario, StreamingEstimator, walk
 from surefoot.estimator.core.checks import SampleError
 from surefoot.estimator.run import every_row
 from surefoot.extend import (
-    Beginning,
     Ground,
     Needs,
     Segment,
-    Stream,
     Trajectory,
     check_sample,
     samples,
@@ -27,12 +25,12 @@ from surefoot.scenarios.estimate import file
 from surefoot.scenarios.estimate import radar_velocity as radar
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.estimate.run import (
+    begin,
     estimated_in_chunks,
     joined_trajectory,
     run_filter,
     stepped,
 )
-from surefoot.scenarios.estimate.settings import FilterSettings, tuned
 from surefoot.scenarios.settings import EstimateSettings
 
 ARRAYS = ("t", "R_GI", "v_GI", "p_GI", "b_a", "b_g", "covariance")
@@ -59,12 +57,6 @@ def pieces(log: Log) -> list[Log]:
     return [log.rows(slice(a, b)) for a, b in zip((0, *ends), ends, strict=False)]
 
 
-def begun(name: str, log: Log, robot: Robot, learnt: Learnt) -> Stream:
-    one = estimator_named(name)
-    at = Beginning(*FilterSettings().beginning(log), log.rate, log.joints, log.meta.derived)
-    return one.start(robot, learnt, tuned(robot).of(one), at)
-
-
 def assert_same(a: Trajectory, b: Trajectory, tolerance: float):
     """Equal to the bit where the tolerance is zero, else relative to the largest of each array."""
     assert (a.updates is None) == (b.updates is None)
@@ -84,9 +76,9 @@ def assert_same(a: Trajectory, b: Trajectory, tolerance: float):
 @pytest.mark.parametrize("name", list(ESTIMATORS))
 def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
     rows = every_row(log.t)
-    one_by_one = stepped(begun(name, log, robot, learnt), log, rows)
+    one_by_one = stepped(begin(estimator_named(name), log, robot, learnt), log, rows)
     in_pieces = joined_trajectory(estimated_raw(name, log, robot, learnt))
-    whole = begun(name, log, robot, learnt)
+    whole = begin(estimator_named(name), log, robot, learnt)
     at_once = whole.run(log, rows) if hasattr(whole, "run") else one_by_one
     if name in ("leg", "leg_slip", "radar_leg", "imu"):
         assert_same(one_by_one, at_once, 0.0)
@@ -98,7 +90,7 @@ def test_step_by_step_and_in_pieces_it_is_the_same(name, log, robot, learnt):
 
 def estimated_raw(name, log, robot, learnt):
     """The pieces of one stream; the mounting's tolerance left out."""
-    stream, seen = begun(name, log, robot, learnt), 0
+    stream, seen = begin(estimator_named(name), log, robot, learnt), 0
     stride = int(every_row(log.t)[1])
     for part in pieces(log):
         rows = np.arange(-seen % stride, len(part.t), stride)
@@ -113,11 +105,11 @@ def test_an_estimator_that_needs_rates_says_what_derives_them(log, robot):
 
 
 def test_joint_rates_that_are_missing_are_the_same_in_pieces(log, robot):
-    bare = without(log, "dq_")
+    bare, leg = without(log, "dq_"), estimator_named("leg")
     rows = every_row(log.t)
-    whole = begun("leg", bare, robot, Learnt()).run(bare, rows)
+    whole = begin(leg, bare, robot, Learnt()).run(bare, rows)
     assert_same(joined_trajectory(estimated_raw("leg", bare, robot, Learnt())), whole, 0.0)
-    assert_same(stepped(begun("leg", bare, robot, Learnt()), bare, rows), whole, 0.0)
+    assert_same(stepped(begin(leg, bare, robot, Learnt()), bare, rows), whole, 0.0)
 
 
 def test_a_simulated_radar_takes_the_whole_log(walks, robot, monkeypatch):
@@ -160,7 +152,7 @@ def test_the_relative_errors_of_a_long_log_are_of_all_estimates(tmp_path, monkey
 
 
 def test_a_sample_without_what_legs_need_is_one_line(log, robot):
-    stream = begun("leg", log, robot, Learnt())
+    stream = begin(estimator_named("leg"), log, robot, Learnt())
     sample = next(samples(log))
     np.testing.assert_array_equal(sample.force, log.force[0])  # as contacts, of the legs in order
     sample = sample._replace(contact=None)
@@ -220,12 +212,12 @@ def test_readings_are_checked_once_and_stamps_each_time(log):
 
 
 def test_what_samples_lack_is_one_line(walks, robot):
-    begin = list(samples(walks[1].rows(slice(0, 260))))
+    first = list(samples(walks[1].rows(slice(0, 260))))
 
     def fed(name: str, altered: list) -> None:
         online = StreamingEstimator(name, robot)
         for sample in altered:
             online.step(sample)
 
-    refused("lacks", fed, "leg", [sample._replace(q=None) for sample in begin])
+    refused("lacks", fed, "leg", [sample._replace(q=None) for sample in first])
     refused("whole log", StreamingEstimator, "radar_leg", robot)
