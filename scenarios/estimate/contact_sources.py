@@ -20,14 +20,16 @@ import pandas as pd
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import matched, relative_errors, segments
+from surefoot.models.residuals.binning import interpolate_rows
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import Changes
-from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads
+from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds
 from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
+from surefoot.sim.sensors.stances import stances_between_swings
 
 T = TypeVar("T")
 
@@ -52,6 +54,8 @@ _BLOCKS = 10
 """Number of sections of a log over which the gain must exceed its spread."""
 _CLEAR = 1.5
 """Least ratio of the errors at which one source is better than another."""
+_STANDS = 0.2
+"""Speed of a foot over the ground below which it stands [m/s]; swinging ones have 1 and more."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,12 @@ class LogVariant:
 
 @dataclass(frozen=True)
 class TriedContacts:
-    """Contacts, and the mean squared error of the leg filter with them in each of _BLOCKS sections
-    (NaN where unknown).
+    """Contacts, the leg filter's estimate with them, and its mean squared error in each of _BLOCKS
+    sections (NaN where unknown).
     """
 
     contacts: LogVariant
+    trajectory: Trajectory
     squares: np.ndarray
 
     @property
@@ -119,8 +124,8 @@ class ContactComparison:
         return advised.contacts if gains.mean() > doubt else None
 
     @property
-    def line(self) -> str:
-        """Errors by source."""
+    def lines(self) -> tuple[str, ...]:
+        """Errors by source, and what moves while it counts as standing."""
         what, unit = (
             ("RPE over 1 m", "mm")
             if self.by_reference
@@ -133,7 +138,20 @@ class ContactComparison:
         )
         t = self.tried[0].contacts.log.t
         first = f"leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
-        return f"{first} {', '.join(each)}"
+        return f"{first} {', '.join(each)}", *self._motion()
+
+    def _motion(self) -> Iterator[str]:
+        best = self.tried[0]
+        if self.logged is None or self.better is None:
+            return
+        log = self.logged.contacts.log
+        v_I = interpolate_rows(log.t, best.trajectory.t, best.trajectory.v_I)
+        with suppress(SurefootError):
+            begin, end = moving_in_contact(log.t, foot_speeds(log, v_I), log.contact)
+            yield (
+                f"feet still move for {1e3 * begin:.0f} ms after flags begin, and move "
+                f"already for {1e3 * end:.0f} ms before they end (median)"
+            )
 
 
 def _milli(x: float) -> str:
@@ -161,7 +179,7 @@ def contact_lines(
     found = compare_contacts(log, robot, progress=progress)
     if found is None:
         return (f"contacts: not compared: {_why_it_does_not_run(log, robot)}",), {}
-    changes, said = {} if found.better is None else found.better.changes, (found.line,)
+    changes, said = {} if found.better is None else found.better.changes, found.lines
     if found.better is None:
         said += ("none is clearly better than as logged",)
     if "contact" in changes:
@@ -239,7 +257,7 @@ def compare_contacts(
         if found.diverged:
             return None
         times, squares = (_by_segments if by_reference else _by_windows)(contacts.log, found)
-        return TriedContacts(contacts, _in_blocks(log.t, times, squares))
+        return TriedContacts(contacts, found, _in_blocks(log.t, times, squares))
 
     found = [tried(LogVariant(AS_LOGGED, {}, log))] if log.has("contact") else []
     every = [moved(log, ("contact",), sign) for sign in (1.0, -1.0)] if log.has("contact") else []
@@ -302,3 +320,21 @@ def _in_blocks(t: np.ndarray, times: np.ndarray, squares: np.ndarray) -> np.ndar
     edges = np.linspace(t[0], t[-1], _BLOCKS + 1)[1:-1]
     means = pd.Series(squares).groupby(np.searchsorted(edges, times)).mean()
     return means.reindex(range(_BLOCKS)).to_numpy()
+
+
+def moving_in_contact(t: np.ndarray, speed: np.ndarray, contact: np.ndarray) -> tuple[float, float]:
+    """Median times [s] that feet still move after contacts begin, and already before they end.
+
+    Args:
+        t: (N,) [s].
+        speed: of the feet over the ground (N, L) [m/s].
+        contact: (N, L), bool.
+    """
+    begins, ends = [], []
+    for stands, flagged in zip((speed < _STANDS).T, contact.T, strict=True):
+        for first, last in zip(*stances_between_swings(t, flagged), strict=True):
+            still = first + np.flatnonzero(stands[first:last])
+            if len(still):
+                begins.append(t[still[0]] - t[first])
+                ends.append(t[last - 1] - t[still[-1]])
+    return (float(np.median(begins)), float(np.median(ends))) if begins else (0.0, 0.0)
