@@ -212,13 +212,16 @@ def test_nearest_point_is_the_minimum_of_the_distance():
 def test_bad_input_is_a_clear_value_error():
     good = {"mean": np.zeros(3), "cov": np.eye(3), "lower": -np.ones(3), "upper": np.ones(3)}
     for change, words in (
-        ({"mean": np.zeros(2)}, r"mean has shape \(2,\), not \(3,\)"),
-        ({"cov": np.eye(2)}, r"cov has shape"),
-        ({"mean": np.array([0, np.nan, 0])}, "mean has values that are not finite"),
-        ({"cov": np.diag([1, 1, np.inf])}, "cov has values that are not finite"),
-        ({"lower": np.array([np.nan, 0, 0])}, "lower has values that are not finite"),
-        ({"lower": np.ones(3)}, "lower must be below upper"),
-        ({"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)}, "lower must be below upper"),
+        ({"mean": np.zeros(2)}, r"mean: shape \(2,\) where \(3\) is expected"),
+        ({"cov": np.eye(2)}, "cov: shape"),
+        ({"mean": np.array([0, np.nan, 0])}, "mean: has values that are not finite"),
+        ({"cov": np.diag([1, 1, np.inf])}, "cov: has values that are not finite"),
+        ({"lower": np.array([np.nan, 0, 0])}, "lower must be three numbers below"),
+        ({"lower": np.ones(3)}, "lower must be three numbers below"),
+        (
+            {"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)},
+            "lower must be three numbers below",
+        ),
         ({"cov": np.diag([1.0, 1.0, 0.0])}, "not positive definite"),
         ({"cov": -np.eye(3)}, "not positive definite"),
         ({"cov": np.eye(3) + np.eye(3, k=1) * 0.1}, "not symmetric"),
