@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from surefoot.estimator.box import below_prior, box_moments, clip_to_prior
 from surefoot.estimator.moments.faces import nearest_in_box
-from surefoot.estimator.moments.grid import _windows, grid_moments
+from surefoot.estimator.moments.grid import grid_moments
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {
@@ -80,22 +80,6 @@ def test_independent_axes_are_three_truncated_normals():
     assert_allclose(cov - np.diag(np.diag(cov)), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("distance", [40.0, 100.0, 1000.0])
-def test_far_tails_meet_their_asymptotics(distance):
-    """On a half space at a the moments are those of an exponential of rate a: 1/a, 1/a^2."""
-    from scipy.special import log_ndtr
-
-    lower = np.array([distance, -np.inf, -np.inf])
-    log_prob, mean, cov = box_moments(np.zeros(3), np.eye(3), lower, np.full(3, np.inf))
-    assert_allclose(log_prob, log_ndtr(-distance), rtol=1e-12)
-    a2 = distance**-2
-    assert_allclose(
-        (mean[0] - distance) * distance, 1 - 2 * a2 + 10 * a2**2, rtol=100 * a2**3 + 1e-9
-    )
-    assert_allclose(cov[0, 0] / a2, 1 - 6 * a2 + 50 * a2**2, rtol=600 * a2**3 + 1e-9)
-    assert_allclose(cov[1:, 1:], np.eye(2), atol=1e-10)
-
-
 def test_the_whole_space_is_the_prior():
     rng = np.random.default_rng(0)
     for smallest in (0.5, 0.03):
@@ -104,29 +88,6 @@ def test_the_whole_space_is_the_prior():
         assert_allclose(log_prob, 0, atol=1e-11)
         assert_allclose(m, mean, atol=1e-11)
         assert_allclose(C, cov, atol=1e-10)
-
-
-def test_a_box_is_the_sum_of_its_halves():
-    """Cutting a box and mixing the parts gives it back: ordinary, correlated and far away."""
-    rng = np.random.default_rng(3)
-    for smallest, distance in ((0.5, 0.0), (0.1, 3.0), (0.5, 12.0), (0.02, 0.0)):
-        mean, cov, lower, upper = box(rng, smallest, distance, (0.5, 2.0))
-        whole = box_moments(mean, cov, lower, upper)
-        for axis in range(3):
-            cut = lower[axis] + 0.4 * (upper[axis] - lower[axis])
-            low, high = lower.copy(), upper.copy()
-            high[axis] = low[axis] = cut
-            parts = [box_moments(mean, cov, lower, high), box_moments(mean, cov, low, upper)]
-            weights = np.exp([part[0] - whole[0] for part in parts])
-            assert_allclose(weights.sum(), 1, rtol=1e-10)
-            s = np.sqrt(np.diag(whole[2]))
-            m = sum(w * part[1] for w, part in zip(weights, parts, strict=True))
-            assert_allclose((m - whole[1]) / s, 0, atol=1e-9)
-            C = sum(
-                w * (part[2] + np.outer(part[1] - m, part[1] - m))
-                for w, part in zip(weights, parts, strict=True)
-            )
-            assert_allclose((C - whole[2]) / np.outer(s, s), 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("bounded", [1, 2])
@@ -170,24 +131,6 @@ def test_what_integration_adds_above_the_prior_is_taken_off(correlations, lower,
     low, high = np.array([-np.inf, *lower]), np.array([np.inf, *upper])
     _, _, cov = box_moments(np.zeros(3), C, low, high)
     assert np.linalg.eigvalsh(C - cov)[0] > -1e-11
-
-
-def test_order_and_units_of_the_axes_do_not_matter():
-    rng = np.random.default_rng(5)
-    mean, cov, lower, upper = box(rng, 0.2, 2.0, (0.5, 2.0))
-    log_prob, m, C = box_moments(mean, cov, lower, upper)
-    for order in ([1, 2, 0], [2, 1, 0], [0, 2, 1]):
-        units = np.array([1e-3, 1.0, 1e4])
-        scale = np.outer(units, units)
-        other = box_moments(
-            mean[order] * units,
-            cov[np.ix_(order, order)] * scale,
-            lower[order] * units,
-            upper[order] * units,
-        )
-        assert_allclose(other[0], log_prob, rtol=1e-11)
-        assert_allclose(other[1], m[order] * units, rtol=1e-10)
-        assert_allclose(other[2], C[np.ix_(order, order)] * scale, rtol=1e-8, atol=0)
 
 
 def test_nearest_point_is_the_minimum_of_the_distance():
@@ -264,19 +207,6 @@ def test_a_box_millions_of_deviations_away_has_moments_inside_it(C, low, high):
     assert np.linalg.eigvalsh(cov).min() >= -1e-15
 
 
-def test_a_grid_leaves_out_an_axis_without_bounds():
-    """Of independent axes: the other two are truncated normals, the free one stays as it was."""
-    from scipy.stats import truncnorm
-
-    low, high = np.array([-1.0, 0.5, -np.inf]), np.array([1.0, 2.0, np.inf])
-    mode, mean, cov = np.array([0.0, 0.5, 0.0]), np.empty(3), np.empty((3, 3))
-    log_prob = grid_moments(np.eye(3), low, high, mode, 0.25, mean, cov)
-    axes = truncnorm(low[:2], high[:2])
-    assert_allclose(log_prob, np.log(np.diff(ndtr([low[:2], high[:2]]), axis=0)).sum(), rtol=1e-10)
-    assert_allclose(mean, [*axes.mean(), 0.0], atol=1e-10)
-    assert_allclose(cov, np.diag([*axes.var(), 1.0]), atol=1e-10)
-
-
 def test_what_is_above_the_prior_is_clipped_to_it_and_the_rest_is_kept():
     C = np.array([[1.0, 0.999, -0.3], [0.999, 1.0, -0.32], [-0.3, -0.32, 1.0]])
     L = np.linalg.cholesky(C)
@@ -347,24 +277,3 @@ def test_a_gaussian_about_a_plane(thickness, panels):
         low, high = on_plane - half, on_plane + half
         found = box_moments(np.zeros(3), C, low, high)
         assert worst_error(found, line_reference(C, low, high, panels), C) < 1e-8
-
-
-def test_the_windows_of_a_mirrored_box_are_mirrored():
-    rng = np.random.default_rng(8)
-    for _ in range(40):
-        A = rng.normal(size=(3, 3))
-        cov = A @ A.T + 0.05 * np.eye(3)
-        C = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-        low = 4.0 * rng.normal(size=3)
-        high, mode = low + rng.uniform(0.5, 20.0, size=3), np.empty(3)
-        found = []
-        for lower, upper in ((low, high), (-high, -low)):
-            distance = nearest_in_box(C, lower, upper, mode)
-            centre, half, steep, free = np.empty(3), np.empty(3), np.empty(3), np.empty(3, bool)
-            information = np.linalg.inv(C)
-            _windows(C, information, lower, upper, mode, distance, centre, half, steep, free)
-            found.append((centre, half, steep, free))
-        one, other = found
-        assert_allclose(other[0], -one[0], atol=1e-9)
-        for a, b in zip(one[1:], other[1:], strict=True):
-            assert_allclose(a, b, atol=1e-9)

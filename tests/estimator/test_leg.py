@@ -11,7 +11,6 @@ from whole_runs import run_leg
 from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.metrics import evaluate, nees
-from surefoot.estimator.run import imu_samples
 from surefoot.estimator.updates.contact import (
     ContactModel,
     _slips,
@@ -229,19 +228,6 @@ def test_bad_input_is_one_clear_line(walk, rolling):
         leg.update_contacts(np.zeros((3, 3)), np.ones(4), np.zeros((4, 3, 3)))
     with pytest.raises(SurefootError, match="covariance of foot 0"):
         leg.update_contacts(np.zeros((4, 3)), np.ones(4), np.zeros((4, 3, 3)))
-
-
-def test_a_leg_filter_is_where_its_last_sample_is(walk, rolling):
-    one = LegFilter(*walk.start())
-    few = slice(3)
-    imu = imu_samples(walk.t[few], walk.gyro[few], walk.accel[few])
-    one.run(imu, one.legs(rolling.feet_I[few], rolling.contact[few], covariances(rolling)[few]))
-    assert one.t == walk.t[2]
-
-
-@pytest.mark.parametrize("contact", [-0.1, np.inf, np.nan, np.ones(2), np.array([0.1, 0.1, -0.1])])
-def test_contact_noise_is_one_or_three_finite_numbers(contact):
-    refused("noise: contact must be", LegNoise(contact=contact).packed)
 
 
 def standing_foot():

@@ -18,7 +18,7 @@ from surefoot.estimator.updates.bias_states import (
     propagate_bias,
 )
 from surefoot.estimator.updates.coverage import update_coverage
-from surefoot.estimator.updates.velocity import UNLIMITED, update_velocity, velocity_memory
+from surefoot.estimator.updates.velocity import update_velocity, velocity_memory
 
 INF = np.full(3, np.inf)
 GRAVITY = np.array([0.0, 0.0, 9.8])
@@ -71,7 +71,8 @@ def test_the_windows_mean_by_differences():
 def test_it_wanders_as_gauss_and_markov_say():
     rng = np.random.default_rng(1)
     mean, P = prior(rng)
-    C, tau, dt = np.diag([1e-3, 2e-3, 3e-3]), 5.0, 0.7
+    A = 0.03 * rng.normal(size=(3, 3))
+    C, tau, dt = A @ A.T + 1e-4 * np.eye(3), 5.0, 0.7
     before, spread = mean.copy(), P.copy()
     propagate_bias(mean, P, C, tau, dt)
     F = np.eye(24)
@@ -93,22 +94,6 @@ def test_it_wanders_as_gauss_and_markov_say():
     spread = P.copy()
     propagate_bias(mean, P, C, np.inf, dt)
     assert_array_equal(P, spread)
-
-
-def test_its_covariance_is_that_of_a_dense_step():
-    """Noise of three axes that depend on each other, and steps as long as the time constant."""
-    rng = np.random.default_rng(5)
-    A = rng.normal(size=(3, 3))
-    for dt in (0.002, 3.0):
-        mean, P = prior(rng)
-        keep = np.exp(-dt / 3.5)
-        phi, noise = np.eye(24), np.zeros((24, 24))
-        phi[15:18, 15:18], phi[15:18, 21:24] = keep * np.eye(3), (1.0 - keep) * np.eye(3)
-        noise[15:18, 15:18] = (1.0 - keep**2) * (A @ A.T)
-        expected = phi @ P @ phi.T + noise
-        propagate_bias(mean, P, A @ A.T, 3.5, dt)
-        assert_allclose(P, expected, rtol=0, atol=1e-15 * np.abs(expected).max())
-        assert_array_equal(P[15:18, 15:18], P[15:18, 15:18].T)
 
 
 def test_a_window_of_one_without_a_persistent_part_is_the_papers_update():
@@ -191,10 +176,6 @@ def test_outliers_cost_it_less_than_the_same_filter_without_a_largest_error():
         assert found[kind, 0.15] < 6.0
 
 
-def test_a_window_may_be_of_one():
-    assert PersistentError(np.eye(3), window=1).window == 1
-
-
 @pytest.mark.parametrize(
     ("values", "says"),
     [
@@ -239,7 +220,3 @@ def test_a_window_holds_minus_its_share_of_the_errors_until_it_ends():
     assert 0.0 <= pi <= 1.0
     assert_array_equal(mean[8], 0.0)
     assert memory.counts[0] == 0
-
-
-def test_a_largest_error_that_rejects_nothing_is_a_persistent_errors():
-    assert_array_equal(PersistentError(np.eye(3), max_error=UNLIMITED).max_error, np.inf)
