@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from surefoot.estimator.box import below_prior, box_moments, clip_to_prior
 from surefoot.estimator.moments.faces import nearest_in_box
-from surefoot.estimator.moments.grid import grid_moments
+from surefoot.estimator.moments.grid import _windows, grid_moments
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {
@@ -63,21 +63,6 @@ def test_far_tails_of_nearly_singular_covariances(distance):
     assert found[0] > -12_000
     wanted = reference(np.zeros(3), cov, *trimmed(np.zeros(3), cov, lower, upper), (16, 16, 16))
     assert worst_error(found, wanted, cov) < (1e-8 if found[0] > -1000 else 1e-6)
-
-
-def test_independent_axes_are_three_truncated_normals():
-    """Against scipy's one-dimensional truncated normal, where that keeps its digits."""
-    from scipy.stats import norm, truncnorm
-
-    mean, s = np.array([0.3, -1.0, 2.0]), np.array([0.5, 2.0, 1.0])
-    a, b = np.array([-0.7, 1.0, -np.inf]), np.array([1.1, np.inf, 0.4])
-    log_prob, m, cov = box_moments(mean, np.diag(s**2), mean + s * a, mean + s * b)
-    assert_allclose(log_prob, np.log(norm.cdf(b) - norm.cdf(a)).sum(), rtol=1e-12)
-    for i in range(3):
-        law = truncnorm(a[i], b[i], loc=mean[i], scale=s[i])
-        assert_allclose(m[i], law.mean(), rtol=1e-11)
-        assert_allclose(cov[i, i], law.var(), rtol=1e-9)
-    assert_allclose(cov - np.diag(np.diag(cov)), 0, atol=1e-12)
 
 
 def test_the_whole_space_is_the_prior():
@@ -277,3 +262,24 @@ def test_a_gaussian_about_a_plane(thickness, panels):
         low, high = on_plane - half, on_plane + half
         found = box_moments(np.zeros(3), C, low, high)
         assert worst_error(found, line_reference(C, low, high, panels), C) < 1e-8
+
+
+def test_the_windows_of_a_mirrored_box_are_mirrored():
+    rng = np.random.default_rng(8)
+    for _ in range(40):
+        A = rng.normal(size=(3, 3))
+        cov = A @ A.T + 0.05 * np.eye(3)
+        C = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
+        low = 4.0 * rng.normal(size=3)
+        high, mode = low + rng.uniform(0.5, 20.0, size=3), np.empty(3)
+        found = []
+        for lower, upper in ((low, high), (-high, -low)):
+            distance = nearest_in_box(C, lower, upper, mode)
+            centre, half, steep, free = np.empty(3), np.empty(3), np.empty(3), np.empty(3, bool)
+            information = np.linalg.inv(C)
+            _windows(C, information, lower, upper, mode, distance, centre, half, steep, free)
+            found.append((centre, half, steep, free))
+        one, other = found
+        assert_allclose(other[0], -one[0], atol=1e-9)
+        for a, b in zip(one[1:], other[1:], strict=True):
+            assert_allclose(a, b, atol=1e-9)

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from lie_group import so3_exp
 from numpy.testing import assert_allclose, assert_array_equal
+from theorem import posterior, truncated
 
 from surefoot.estimator.core.state import NavState, retract
-from surefoot.estimator.updates.coverage import FLOOR, posterior_moments, update_coverage
+from surefoot.estimator.updates.coverage import FLOOR, update_coverage
 from surefoot.estimator.updates.velocity import (
     SIGMAS,
     inverse_3,
@@ -85,39 +86,11 @@ def test_a_checked_velocity_update_is_the_plain_one_or_none():
 INF = np.inf
 
 
-def posterior(mean, cov, lower, upper, gamma):
-    out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    mean, cov, lower, upper = (np.array(x, dtype=float) for x in (mean, cov, lower, upper))
-    pi = posterior_moments(mean, cov, lower, upper, gamma, out_mean, out_cov)
-    return pi, out_mean, out_cov
-
-
-def axis_moments(mean, deviation, lower, upper):
-    """Mass, mean and second moment of one Gaussian axis between the bounds, in mpmath."""
-    mean, deviation = mp.mpf(float(mean)), mp.mpf(float(deviation))
-    ends = [(mp.mpf(float(b)) - mean) / deviation for b in (lower, upper)]
-    if ends[0] > 0:  # tails by erfc of positive numbers, so that no digit is lost
-        mass = (mp.erfc(ends[0] / mp.sqrt(2)) - mp.erfc(ends[1] / mp.sqrt(2))) / 2
-    else:
-        mass = (mp.erfc(-ends[1] / mp.sqrt(2)) - mp.erfc(-ends[0] / mp.sqrt(2))) / 2
-    low, high = (mp.npdf(e) if mp.isfinite(e) else mp.mpf(0) for e in ends)
-    edge = sum(
-        sign * e * d
-        for sign, e, d in ((1, ends[0], low), (-1, ends[1], high))
-        if mp.isfinite(e)
-    )  # fmt: skip
-    first = (low - high) / mass
-    second = 1 + edge / mass
-    return (
-        mass,
-        mean + deviation * first,
-        (mean**2 + 2 * mean * deviation * first + deviation**2 * second),
-    )
-
-
 def as_printed(mean, deviations, lower, upper, gamma):
     """Eqs. complement_moments and moment_matching for independent axes, in mpmath."""
-    axes = [axis_moments(*a) for a in zip(mean, deviations, lower, upper, strict=True)]
+    given = zip(mean, deviations, lower, upper, strict=True)
+    masses = [truncated(*(mp.mpf(float(x)) for x in one)) for one in given]
+    axes = [(mass, first / mass, second / mass) for mass, first, second in masses]
     pi = axes[0][0] * axes[1][0] * axes[2][0]
     m = [mp.mpf(float(x)) for x in mean]
     prior = mp.matrix(3, 3)

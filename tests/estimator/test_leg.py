@@ -167,32 +167,19 @@ def test_the_gate_is_on_the_mahalanobis_distance():
 
 def test_nees_is_within_its_chi_square_bounds(walk, rolling):
     """Noise drawn as declared: the mean NEES over runs lies where a consistent filter's does."""
-    rng = np.random.default_rng(8)
-    rate, runs, std = 500.0, 12, 2e-3
-    noise = FilterNoise(2e-3, 1e-2, 1e-4, 1e-3)
-    leg_noise = LegNoise(noise, contact=1e-2, rolling=0.0)
+    rng, runs, std = np.random.default_rng(8), 12, 2e-3
+    noise = LegNoise(FilterNoise(2e-3, 1e-2, 1e-4, 1e-3), contact=1e-2, rolling=0.0)
     values = {"position": [], "velocity": [], "attitude": []}
-    short = 2500
+    walk, short = walk.part(2500), slice(2500)
+    cov = covariances(rolling, std)[short]
     for _ in range(runs):
-        state, P = walk.start()
-        truth = state.pack()
-        start = truth.copy()
-        xi = rng.multivariate_normal(np.zeros(15), P)
-        retract(start, -xi, 0)
-        b_a, b_g = start[5] - xi[9:12], start[6] - xi[12:15]
-        n = len(walk.t[:short])
-        gyro = walk.gyro[:short] + b_g + rng.normal(size=(n, 3)) * 2e-3 * np.sqrt(rate)
-        accel = walk.accel[:short] + b_a + rng.normal(size=(n, 3)) * 1e-2 * np.sqrt(rate)
-        creep = np.cumsum(rng.normal(size=(n, 4, 3)) * 1e-2 / np.sqrt(rate), axis=0)
-        moved = np.einsum("nji,nkj->nki", walk.R[:short], creep)
-        measured = rolling.feet_I[:short] + moved + rng.normal(size=(n, 4, 3)) * std
+        start, readings = walk.drawn_start(rng), walk.sensed(rng, noise.imu)
+        measured = rolling.sensed(walk, rng, noise.contact, std)
         estimate = run_leg(
-            walk.t[:short], gyro, accel, measured, rolling.contact[:short],
-            np.broadcast_to(np.eye(3) * std**2, (n, 4, 3, 3)), NavState.unpack(start), P,
-            leg_noise, RADIUS, rolling.rates_I[:short],
+            walk.t, *readings, measured, rolling.contact[short], cov, *start, noise, RADIUS,
+            rolling.rates_I[short],
         )  # fmt: skip
-        reference = walk.reference().rows(slice(0, short, 5))
-        found = nees(reference, estimate)
+        found = nees(walk.reference().rows(slice(None, None, 5)), estimate)
         for name, series in values.items():
             series.append(getattr(found, name)[[100, 300, -1]])
     for name, series in values.items():

@@ -15,6 +15,7 @@ from surefoot.estimator.moments.line import (
     line_moments,
     plane_moments,
 )
+from surefoot.estimator.moments.parts import _corner as _other_zone
 from surefoot.estimator.moments.parts import outer_parts
 from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, rule
 
@@ -186,3 +187,14 @@ def test_a_part_begins_where_an_interval_is_first_left():
     cuts, _ = parts(C, np.array(low), np.array(high))
     within = np.sqrt(2.0 * DEPTH * (1.0 - 0.95**2))
     assert_allclose(np.sort(0.95 * cuts[1:-1]), np.sort([high[1] - within, low[1] + within]))
+
+
+def test_the_two_zones_of_a_corner_name_each_other():
+    """Axis j past its bound w with the other at its bound c, and that one past c with j at w."""
+    for j in range(2):
+        for bound in range(2):
+            for other in range(2):
+                one = 6 * j + 2 * (1 + other) + bound
+                two = 6 * (1 - j) + 2 * (1 + bound) + other
+                assert _other_zone(one) == two
+                assert _other_zone(two) == one

@@ -262,15 +262,11 @@ def test_only_attitude_learns_of_it():
     claimed = with_mounting(Trajectory(truth.t, turned, v, p, none, none, tiny), STD)
     found = nees(truth, claimed)
     assert np.nanmean(found.attitude) == np.clip(np.nanmean(found.attitude), 1.9, 2.1)
-    J = np.concatenate([-lie_hats(p), np.zeros((n, 3, 3)), np.tile(np.eye(3), (n, 1, 1))], axis=2)
+    J = np.concatenate([-lie.hat(p), np.zeros((n, 3, 3)), np.tile(np.eye(3), (n, 1, 1))], axis=2)
     assert claimed.covariance is not None
     spread = J @ claimed.covariance[:, :9, :9] @ np.swapaxes(J, 1, 2)
     plain = J @ tiny[:, :9, :9] @ np.swapaxes(J, 1, 2)
     assert_allclose(spread, plain, atol=1e-12)
-
-
-def lie_hats(x):
-    return np.array([lie.hat(row) for row in x])
 
 
 def test_a_turned_imu_is_why_a_sure_filter_is_wrong_of_its_attitude():

@@ -4,20 +4,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
+from theorem import posterior
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.filter import InvariantFilter
-from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.velocity import velocity_memory
 from surefoot.sim.common.errors import SurefootError
-
-
-def posterior(mean, cov, lower, upper, gamma):
-    out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    mean, cov, lower, upper = (np.array(x, dtype=float) for x in (mean, cov, lower, upper))
-    pi = posterior_moments(mean, cov, lower, upper, gamma, out_mean, out_cov)
-    return pi, out_mean, out_cov
 
 
 def quadrature(edges, order=12):
