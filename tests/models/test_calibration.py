@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom, binomtest
+from scipy.stats import binomtest
 from synthetic import Body, synthetic_walk
 
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import (
     calibrate,
     left_out_coverage,
@@ -70,20 +69,6 @@ def test_the_counts_of_the_paper():
 @given(n=st.integers(1, 500), tenths=st.integers(1, 9))
 def test_rank_is_exact_where_the_product_is_whole(n, tenths):
     assert rank(n, tenths / 10) == -(-(n + 1) * tenths // 10)
-
-
-def test_exchangeable_errors_are_covered_as_promised():
-    """Each axis at its level, and independent axes jointly at gamma, over many calibrations."""
-    rng = np.random.default_rng(0)
-    gamma, n, trials = 0.8, 120, 3000
-    level = level_per_axis(gamma)
-    scores = np.abs(rng.standard_cauchy((trials, n + 1, 3)))
-    inside = np.array([s[n] <= conformal_quantile(s[:n], level) for s in scores])
-    expected = rank(n, level) / (n + 1)
-    low, high = binom.interval(0.999, trials, expected)
-    assert np.all((inside.sum(axis=0) >= low) & (inside.sum(axis=0) <= high))
-    low, high = binom.interval(0.999, trials, expected**3)
-    assert low <= inside.all(axis=1).sum() <= high
 
 
 def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
@@ -151,19 +136,6 @@ def test_a_short_log_is_refused(mse_observer):
 def test_errors_are_at_least_a_step_apart(mse_observer, walks, K):
     with pytest.raises(BoundsError, match=f"K = {K}: must be 1 at least"):
         calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=K), Body())
-
-
-def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
-    path = tmp_path / "bounds.json"
-    bounds.save(path)
-    loaded = Bounds.load(path)
-    assert loaded.mixing is not None
-    assert bounds.mixing is not None
-    assert np.array_equal(loaded.epsilon, bounds.epsilon)
-    assert np.array_equal(loaded.mixing.beta, bounds.mixing.beta)
-    assert (loaded.gamma, loaded.K, loaded.n) == (bounds.gamma, bounds.K, bounds.n)
-    assert loaded.observer == mse_observer.hash
 
 
 def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from surefoot.models.attribution.evidence import (
@@ -17,7 +16,6 @@ from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import CATALOGUE, add, effect
 from surefoot.sim.effects.base import Effect, Traced, with_columns
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import JOINTS, LEGS, Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -43,36 +41,6 @@ KEYS = [
     )
     + list(kind.group_targets(QUADRUPED))[:1]
 ]
-
-
-def still_feet(seconds=1.0, rate=200.0):
-    """Readings of a body that turns and sways over feet that all stand, without a simulation."""
-    t = np.arange(round(seconds * rate)) / rate
-    sway = 0.05 * np.sin(2.0 * np.pi * np.outer(t, 0.5 + 0.1 * np.arange(len(JOINTS))))
-    angles = SPOT.q_home + sway
-    columns = {"t": t, **dict(zip([f"q_{joint}" for joint in JOINTS], angles.T, strict=True))}
-    columns |= {f"dq_{joint}": np.gradient(x, t) for joint, x in zip(JOINTS, angles.T, strict=True)}
-    for axis, gyro in zip("xyz", (0.2, -0.3, 0.5), strict=True):
-        columns |= {f"gyro_{axis}": gyro + 0.0 * t, f"accel_{axis}": 9.81 * (axis == "z") + 0.0 * t}
-        columns |= {f"ref_p_{axis}": 0.3 * (axis == "z") + 0.0 * t, f"ref_v_{axis}": 0.0 * t}
-    columns |= {f"ref_q_{part}": (part == "w") + 0.0 * t for part in "wxyz"}
-    columns |= {f"contact_{leg}": np.ones(len(t)) for leg in LEGS}
-    return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "still_feet")
-
-
-@pytest.mark.parametrize(
-    "key", [("encoder_offset", "RL_thigh"), ("encoder_scale", "FR_calf"), ("gyro_bias", "y")]
-)
-def test_the_chain_rule_by_joints_and_gyro_without_a_walk(key):
-    case = log_under_model(still_feet(), SPOT)
-    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(case, ()).regressor(key), slope)
-    layout = layout_for(QUADRUPED)
-    assert slope[:, layout.of("leg_velocity")].any()
-    for name in ("leg_velocity", "foot_height"):
-        columns = layout.channels[name]
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.02 * np.linalg.norm(slope[:, columns])
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from surefoot.models.observer.data import draw, prepare
 from surefoot.models.observer.network import loss_of
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import CPU, _begin, torch_bytes, torch_device, train
+from surefoot.models.observer.training import CPU, _begin, torch_bytes, train
 
 META = torch.device("meta")
 BEGUN = TrainSettings(width=8, rate=1e-2)
@@ -57,11 +57,3 @@ def test_a_device_that_torch_cannot_use_is_one_line(name):
     with pytest.raises(ObserverError, match=f"device {name}: torch cannot use it here") as error:
         train(synthetic_walk(0, 15, noise=0.1), Body(), TrainSettings(inputs="q", device=name))
     assert "\n" not in str(error.value)
-
-
-def test_the_cpu_is_the_default():
-    assert torch_device("cpu") == CPU
-    walk, few = synthetic_walk(0, 15, noise=0.1), TrainSettings(steps=4, every=2)
-    first = train(walk, Body(), replace(few, inputs="q", model="mlp"))
-    again = train(walk, Body(), replace(few, inputs="q", model="mlp", device="cpu"))
-    assert first.hash == again.hash
