@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slopes import apart, regressor_of, slope_of, step_of, written_out
 
 from surefoot.models.attribution.evidence import (
     _Linear,
     all_keys,
     linearise,
     log_under_model,
-    table_of,
 )
 from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.effects import CATALOGUE, add, effect
@@ -48,19 +48,6 @@ def case():
     return log_under_model(walk(SCENARIO, SPOT, 7), SPOT)
 
 
-def slope_of(case, key, step):
-    """What a unit of the effect adds to the table, by the residual itself."""
-    table = table_of(case, ())
-    slope = (table - table_of(case, [effect(key[0], key[1], step)])) / step
-    return np.nan_to_num(np.where(np.isfinite(table), slope, 0.0))
-
-
-def written_out(one, like):
-    whole = np.zeros_like(like)
-    whole[:, one.columns] = one.values
-    return whole
-
-
 @pytest.mark.parametrize("key", KEYS, ids=" ".join)
 def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
     assert key in all_keys(case)
@@ -68,14 +55,14 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
     # A delay is not linear over its step, which is longer than a row of the log.
     step = kind.traced_at(key[1]).step * (1.0 if kind.unit == "s" else 1e-2)
     slope = slope_of(case, key, step)
-    whole = written_out(_Linear(case, ()).regressor(key), slope)
+    whole = regressor_of(case, key, slope)
     for name, columns in layout_for(QUADRUPED).channels.items():
         # What is left of two changes that cancel; and when feet move, which is for delays to say.
         if name in ("joint_rate", "contact_timing", "stance_displacement"):
             continue
         # Products of means over a bin are not quite the means of products.
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
+        off = np.linalg.norm(whole[:, columns] - slope[:, columns])
+        assert off <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
 
 
 def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
@@ -83,7 +70,7 @@ def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
     sloping = replace(case, motion=replace(case.motion, normal_G=normal))
     key = ("reference_delay", "all")
     slope = slope_of(sloping, key, CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(sloping, ()).regressor(key), slope)
+    whole = regressor_of(sloping, key, slope)
     columns = layout_for(QUADRUPED).of("leg_velocity")
     np.testing.assert_allclose(whole[:, columns], slope[:, columns], atol=1e-9)
 
@@ -107,11 +94,11 @@ def test_what_is_not_computed_again_is_the_same(case, key):
         timing = layout_for(QUADRUPED).of("contact_timing")
         slopes = [np.where(np.isin(np.arange(x.shape[1]), timing), x, 0.0) for x in slopes]
     fitted = layout_for(QUADRUPED).fitted
-    apart = [
+    gaps = [
         np.abs(written_out(found, x) - x)[:, fitted].max() / np.abs(x[:, fitted]).max()
         for x in slopes
     ]
-    assert min(apart) < 1e-9
+    assert min(gaps) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -121,12 +108,10 @@ def test_rates_that_were_not_logged_change_with_the_angles(case, key):
     log = case.log
     names = [name for name in log.frame if str(name).startswith(("dq_", "tau_"))]
     without = log_under_model(replace(log, frame=log.frame.drop(columns=names)), SPOT)
-    slope = slope_of(without, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(without, ()).regressor(key), slope)
+    slope = slope_of(without, key, step_of(key))
+    whole = regressor_of(without, key, slope)
     for name in ("leg_velocity", "stance_velocity", "foot_height"):
-        columns = layout_for(QUADRUPED).channels[name]
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.05 * np.linalg.norm(slope[:, columns])
+        assert apart(whole, slope, layout_for(QUADRUPED).channels[name]) <= 0.05
 
 
 class ThickBoots(Effect):
@@ -155,8 +140,7 @@ def test_an_effect_of_readings_and_of_the_robot_has_the_slope_of_the_residual(ca
     leg, height = layout.by_leg("leg_velocity")[0], layout.by_leg("foot_height")[0]
     assert np.linalg.norm(slope[:, height]) > 1.0
     for columns in (leg, height, layout.of("base_wrench")):
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 1e-6 * np.linalg.norm(slope[:, columns])
+        assert apart(whole, slope, columns) <= 1e-6
 
 
 def test_channels_that_no_fit_uses_have_no_regressors(case):
