@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from motions import feet, motion
 from numpy.testing import assert_array_equal
-from whole_runs import filter_of, run_coverage, run_imu, run_leg, run_velocity
+from whole_runs import run_coverage, run_imu, run_leg, run_velocity
 
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter
@@ -74,7 +74,7 @@ def stream(one, log, update=lambda k: None, rates=None):
 def check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations=1):
     """The whole run, and pi of each call of the stream, which has the same numbers."""
     start, pi = walk[0].start(), []
-    one = filter_of(*start, persistent=persistent)
+    one = InvariantFilter(*start, persistent=persistent)
 
     def update(k):
         for m in np.flatnonzero(rows == k):
@@ -114,7 +114,7 @@ def test_coverage_without_outliers(walk, log, measured):
 def test_velocity(walk, log, measured, persistent):
     rows, v_I, _, cov = measured
     start = walk[0].start()
-    one = filter_of(*start, persistent=persistent)
+    one = InvariantFilter(*start, persistent=persistent)
 
     def update(k):
         for m in np.flatnonzero(rows == k):
