@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from lie_group import error, so3_exp
+from lie_group import differences, error, retracted, so3_exp
 from motions import feet, motion
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from whole_runs import run_leg
 
-from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.metrics import evaluate, nees
 from surefoot.estimator.updates.contact import (
@@ -77,14 +77,12 @@ def test_contact_jacobian(contacts):
     foot = mean[:3].T @ (mean[8] - mean[4])
     contact_output(mean, P, 1, foot, PHt, S, residual)
     assert_allclose(residual, 0, atol=1e-14)
-    h = 1e-6
 
     def measured(delta):
-        other = mean.copy()
-        retract(other, delta, 2)
+        other = retracted(mean, delta, 2)
         return other[:3].T @ (other[8] - other[4])
 
-    H = np.column_stack([(measured(h * e) - measured(-h * e)) / (2 * h) for e in np.eye(21)])
+    H = differences(measured, 21)
     assert_allclose(PHt, P @ H.T, atol=1e-7)
     assert_allclose(S, H @ P @ H.T, atol=1e-7)
 
@@ -101,14 +99,12 @@ def test_transition_of_rolling_contacts(contacts):
         propagate_contacts(memory, model, gyro, accel, dt, rates)
         return m
 
-    after, h = step(mean.copy(), np.eye(21)), 1e-5
+    after = step(mean.copy(), np.eye(21))
 
     def moved(delta):
-        other = mean.copy()
-        retract(other, delta, 2)
-        return error(after, step(other, np.eye(21)))
+        return error(after, step(retracted(mean, delta, 2), np.eye(21)))
 
-    Phi = np.column_stack([(moved(h * e) - moved(-h * e)) / (2 * h) for e in np.eye(21)])
+    Phi = differences(moved, 21, 1e-5)
     A = rng.normal(size=(21, 21))
     P = A @ A.T
     step(mean.copy(), P)

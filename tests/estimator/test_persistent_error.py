@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from lie_group import so3_exp
+from lie_group import differences, retracted, so3_exp
 from motions import motion
 from numpy.testing import assert_allclose, assert_array_equal
 from refusals import refused
 from whole_runs import run_coverage, run_velocity
 
 from surefoot.estimator.core.propagation import propagate
-from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.filter import InvariantFilter, PersistentFilter
 from surefoot.estimator.metrics import nees
 from surefoot.estimator.updates.bias_states import (
@@ -52,14 +52,12 @@ def test_the_windows_mean_by_differences():
     v_I = rng.normal(size=(6, 3))
 
     def s_after(delta):
-        moved, spread = mean.copy(), np.zeros((24, 24))
-        retract(moved, delta, 0)
-        gather(moved, spread, samples, v_I, 50)
+        moved = retracted(mean, delta)
+        gather(moved, np.zeros((24, 24)), samples, v_I, 50)
         return moved[8]
 
-    h = 1e-5
     # True state = X_bar moved by delta, so delta s = s_bar - s is minus what the state does.
-    J = -np.column_stack([(s_after(h * e) - s_after(-h * e)) / (2 * h) for e in np.eye(24)])
+    J = -differences(s_after, 24, 1e-5)
     after, spread = mean.copy(), P.copy()
     gather(after, spread, samples, v_I, 50)
     assert_allclose(spread[18:21, 18:21], J @ P @ J.T, rtol=1e-6, atol=1e-12)
