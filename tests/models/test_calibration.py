@@ -82,8 +82,7 @@ def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
     assert min(highest) > bounds.level_per_axis - 0.05
 
 
-def test_the_spacing_comes_from_the_mixing_curve(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+def test_the_spacing_comes_from_the_mixing_curve(bounds):
     assert bounds.mixing is not None
     assert bounds.K == bounds.mixing.K
     assert bounds.n == 6000 // bounds.K
@@ -138,8 +137,7 @@ def test_errors_are_at_least_a_step_apart(mse_observer, walks, K):
         calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=K), Body())
 
 
-def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
+def test_a_turned_box_still_holds_all_it_held(bounds):
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T * bounds.epsilon
     R = Rotation.from_euler("xyz", [0.4, 0.2, -1.0]).as_matrix()
     # A corner touches each side: no smaller box along the new axes would do.
@@ -203,7 +201,7 @@ def test_intervals_are_those_of_scipy(hits, n):
     assert binomial_interval(hits / n, n) == pytest.approx([theirs.low, theirs.high], abs=1e-9)
 
 
-def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
+def test_coverage_is_split_by_what_the_log_tells(bounds, walks):
     """Errors that leave the bounds in one known case alone are laid to that case."""
     log = walks["test"]
     frame = log.frame.copy()
@@ -216,7 +214,7 @@ def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
     frame["ref_p_z"], frame["ref_p_x"], frame["ref_p_y"] = height, t, 0.0
     marked = replace(log, frame=frame)
     rows = np.arange(0, n, 5)
-    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
+    bounds = replace(bounds, K=20)
     errors = np.zeros((len(rows), 3))
     slips = (t[rows] > 20) & (t[rows] < 30)
     errors[slips, 0] = 2 * bounds.epsilon[0]

@@ -8,7 +8,6 @@ import pytest
 from altered_bounds import write_bounds
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.signal import lfilter
-from synthetic import Body
 
 from surefoot.models.calibration.bias_model import (
     BiasModel,
@@ -19,7 +18,6 @@ from surefoot.models.calibration.bias_model import (
     estimate_bias_model,
 )
 from surefoot.models.calibration.bounds import Bounds, BoundsError
-from surefoot.models.calibration.calibrate import calibrate
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import plain_json
 
@@ -144,8 +142,7 @@ def test_too_little_is_one_line(count):
         estimate_bias_model(np.zeros((count, 3)), DT, 0.8)
 
 
-def test_bounds_come_back_whole_with_their_persistent_part(mse_observer, walks, tmp_path):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+def test_bounds_come_back_whole_with_their_persistent_part(bounds, mse_observer, tmp_path):
     assert bounds.observer == mse_observer.hash
     assert bounds.mixing is not None
     assert bounds.persistent is not None
@@ -158,9 +155,9 @@ def test_bounds_come_back_whole_with_their_persistent_part(mse_observer, walks, 
         assert plain_json(Bounds.load(path)) == plain_json(whole)
 
 
-def test_files_from_before_it_are_read_and_say_what_is_missing(mse_observer, walks, tmp_path):
+def test_files_from_before_it_are_read_and_say_what_is_missing(bounds, tmp_path):
     path = tmp_path / "old.json"
-    calibrate(mse_observer, walks["calibrate"], robot=Body()).save(path)
+    bounds.save(path)
     values = json.loads(path.read_text())
     for name in ("digest", "persistent", "warnings"):
         del values[name]
@@ -176,9 +173,9 @@ def test_files_from_before_it_are_read_and_say_what_is_missing(mse_observer, wal
     [{"covariance": [[1, 0, 0]] * 3}, {"epsilon": [1, 2]}, {"window": 0}, {"time_constant": -1.0},
      {"within": None}, {"reach": [0, 1, 1]}, {"more": 1}],
 )  # fmt: skip
-def test_a_part_that_is_none_is_refused(change, mse_observer, walks, tmp_path):
+def test_a_part_that_is_none_is_refused(change, bounds, tmp_path):
     path = tmp_path / "bad.json"
-    calibrate(mse_observer, walks["calibrate"], robot=Body()).save(path)
+    bounds.save(path)
     values = json.loads(path.read_text())
     values["persistent"] |= change
     write_bounds(path, values)
@@ -186,8 +183,7 @@ def test_a_part_that_is_none_is_refused(change, mse_observer, walks, tmp_path):
         Bounds.load(path)
 
 
-def test_another_mounting_turns_it(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+def test_another_mounting_turns_it(bounds):
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     part = bounds.persistent
     assert isinstance(part, BiasModel)
