@@ -5,20 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lie_group import differences, retracted, so3_exp
-from motions import feet, motion
+from motions import motion
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from whole_runs import run_leg
 
 from surefoot.estimator.core import lie
-from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.core.state import NavState
 from surefoot.estimator.evaluation.trajectory import (
     Trajectory,
     TrajectoryError,
     UpdateRecord,
     with_mounting,
 )
-from surefoot.estimator.leg import LegNoise
 from surefoot.estimator.metrics import (
     _normalised,
     align_first,
@@ -263,18 +261,3 @@ def test_only_attitude_learns_of_it():
     spread = J @ claimed.covariance[:, :9, :9] @ np.swapaxes(J, 1, 2)
     plain = J @ tiny[:, :9, :9] @ np.swapaxes(J, 1, 2)
     assert_allclose(spread, plain, atol=1e-12)
-
-
-def test_a_turned_imu_is_why_a_sure_filter_is_wrong_of_its_attitude():
-    walk = motion(30.0, 500.0)
-    legs = feet(walk, 0.0)
-    turn = so3_exp(np.array([12e-3, -9e-3, 0.0]))
-    cov = np.broadcast_to(np.eye(3) * 4e-6, (*legs.contact.shape, 3, 3))
-    found = run_leg(
-        walk.t, walk.gyro @ turn, walk.accel @ turn, legs.feet_I, legs.contact, cov, *walk.start(),
-        LegNoise(FilterNoise(3e-4, 1e-2, 1e-5, 1e-4), 0.01),
-    )  # fmt: skip
-    plain = evaluate(walk.reference(), found)
-    declared = evaluate(walk.reference(), with_mounting(found, 1e-2))
-    assert declared.nees_attitude < 3.0 < 5.0 < plain.nees_attitude
-    assert np.isclose(declared.nees_position, plain.nees_position, rtol=1e-6)
