@@ -73,6 +73,7 @@ def stream(one, log, update=lambda k: None, rates=None):
 
 def check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations=1):
     """The whole run, and pi of each call of the stream, which has the same numbers."""
+    t, gyro, accel = log
     start, pi = walk[0].start(), []
     one = InvariantFilter(*start, persistent=persistent)
 
@@ -82,7 +83,7 @@ def check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations=1):
 
     found = stream(one, log, update)
     whole = run_coverage(
-        *log, rows, v_I, epsilon, 0.8, *start, stride=STRIDE, persistent=persistent,
+        t, gyro, accel, rows, v_I, epsilon, 0.8, *start, stride=STRIDE, persistent=persistent,
         iterations=iterations,
     )  # fmt: skip
     assert_same(*found, whole)
@@ -94,7 +95,8 @@ def check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations=1):
 @pytest.mark.parametrize("iterations", [1, 3])
 @pytest.mark.parametrize("persistent", [None, LASTING], ids=["plain", "persistent"])
 def test_coverage(walk, log, measured, persistent, iterations):
-    check_coverage(walk, log, *measured[:3], persistent, iterations)
+    rows, v_I, epsilon, _ = measured
+    check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations)
 
 
 def test_coverage_without_outliers(walk, log, measured):
@@ -112,6 +114,7 @@ def test_coverage_without_outliers(walk, log, measured):
 
 @pytest.mark.parametrize("persistent", [None, LASTING], ids=["plain", "persistent"])
 def test_velocity(walk, log, measured, persistent):
+    t, gyro, accel = log
     rows, v_I, _, cov = measured
     start = walk[0].start()
     one = InvariantFilter(*start, persistent=persistent)
@@ -121,13 +124,17 @@ def test_velocity(walk, log, measured, persistent):
             one.update_velocity(v_I[m], cov[m])
 
     found = stream(one, log, update)
-    whole = run_velocity(*log, rows, v_I, cov, *start, stride=STRIDE, persistent=persistent)
+    whole = run_velocity(
+        t, gyro, accel, rows, v_I, cov, *start, stride=STRIDE, persistent=persistent
+    )
     assert_same(*found, whole)
 
 
 def test_imu(walk, log):
+    t, gyro, accel = log
     start = walk[0].start()
-    assert_same(*stream(InvariantFilter(*start), log), run_imu(*log, *start, stride=STRIDE))
+    whole = run_imu(t, gyro, accel, *start, stride=STRIDE)
+    assert_same(*stream(InvariantFilter(*start), log), whole)
 
 
 @pytest.mark.parametrize("gate", [None, 16.27])
@@ -135,7 +142,8 @@ def test_imu(walk, log):
 def test_leg(walk, log, measured, radius, gate):
     """Feet enter and leave, one slips, all fly for a while; velocities come in between."""
     motion_, kept = walk
-    t, (rows, v_I, _, v_cov) = log[0], measured
+    t, gyro, accel = log
+    rows, v_I, _, v_cov = measured
     legs = feet(motion_, radius, slip=0.6)
     feet_I, contact, rates_I = legs.feet_I[kept], legs.contact[kept].copy(), legs.rates_I[kept]
     contact[(t > 0.7) & (t < 0.9)] = False
@@ -155,7 +163,7 @@ def test_leg(walk, log, measured, radius, gate):
 
     found = stream(one, log, update, rates_I)
     whole = run_leg(
-        *log, feet_I, contact, cov, *start, foot_radius=radius, foot_rates_I=rates_I,
+        t, gyro, accel, feet_I, contact, cov, *start, foot_radius=radius, foot_rates_I=rates_I,
         slip_gate=gate, stride=STRIDE, rows=rows, v_I=v_I, v_cov=v_cov,
     )  # fmt: skip
     assert_same(*found, whole)
