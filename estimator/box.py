@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from surefoot.estimator.core.checks import asymmetry, is_definite
+from surefoot.estimator.core.checks import numbers, real, spd
 from surefoot.estimator.moments.faces import (
     nearest_given_first,
     nearest_in_box,
@@ -27,10 +27,9 @@ from surefoot.estimator.moments.grid import grid_moments
 from surefoot.estimator.moments.line import DEPTH, line_moments, plane_moments
 from surefoot.estimator.moments.parts import outer_parts
 from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, drop_between, rule
+from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.kernels import kernel
 
-COVARIANCE_ASYMMETRY = 1e-10
-"""Largest `asymmetry` of a covariance."""
 _LOG_2PI = math.log(2.0 * math.pi)
 _FAR = 1e6
 """Squared distance beyond which differences from the prior's covariance are lost to rounding."""
@@ -46,25 +45,13 @@ def box_moments(
     mean (3,), cov (3, 3), lower (3,) and upper (3,) are in any one unit; bounds may be infinite.
     The results are log pi, mu_C and Sigma_C of eqs. pi_def_error_state and
     trunc_moments_error_state. Deterministic, and finite for boxes many deviations away. Raises
-    ValueError on wrong shapes, NaN, lower >= upper, or a covariance that is not symmetric positive
-    definite.
+    SurefootError, a ValueError, on wrong shapes, NaN, lower >= upper, or a covariance that is not
+    symmetric positive definite.
     """
-    given = {"mean": mean, "cov": cov, "lower": lower, "upper": upper}
-    arrays = {name: np.array(value, dtype=float, order="C") for name, value in given.items()}
-    for name, array in arrays.items():
-        wanted = (3, 3) if name == "cov" else (3,)
-        if array.shape != wanted:
-            raise ValueError(f"box_moments: {name} has shape {array.shape}, not {wanted}")
-        infinite = np.isinf(array) if name in ("lower", "upper") else False
-        if not np.all(infinite | np.isfinite(array)):
-            raise ValueError(f"box_moments: {name} has values that are not finite")
-    mean, cov, lower, upper = arrays.values()
-    if not np.all(lower < upper):
-        raise ValueError("box_moments: lower must be below upper on every axis")
-    if asymmetry(cov) > COVARIANCE_ASYMMETRY:
-        raise ValueError("box_moments: cov is not symmetric")
-    if not is_definite(cov):
-        raise ValueError("box_moments: cov is not positive definite")
+    mean, cov = numbers("box_moments: mean", mean, (3,)), spd("box_moments: cov", cov, 3)
+    lower, upper = real("box_moments: lower", lower), real("box_moments: upper", upper)
+    if lower.shape != (3,) or upper.shape != (3,) or not np.all(lower < upper):
+        raise SurefootError("box_moments: lower must be three numbers below those of upper")
     out_mean, out_cov = np.empty(3), np.empty((3, 3))
     return box_moments_kernel(mean, cov, lower, upper, out_mean, out_cov), out_mean, out_cov
 

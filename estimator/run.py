@@ -99,12 +99,10 @@ def gaussian_velocities(rows, v_I, cov, n: int) -> Velocities:
 
 
 def bounded_velocities(rows, v_I, epsilon, n: int) -> Velocities:
-    """Checked velocities at `rows` of n, with their bounds (3,) or (M, 3), all > 0 m/s."""
+    """Checked velocities at `rows` of n, with their bounds (3,) or (M, 3) [m/s]."""
     v_I = numbers("v_I", v_I, (-1, 3))
     epsilon = np.broadcast_to(epsilon, v_I.shape) if np.ndim(epsilon) == 1 else epsilon
     epsilon = numbers("epsilon", epsilon, v_I.shape)
-    if not np.all(epsilon > 0):
-        raise SurefootError("epsilon: every bound must be > 0 m/s")
     return Velocities(row_indices(rows, len(v_I), n), v_I, epsilon, np.zeros((0, 3, 3)))
 
 

@@ -8,12 +8,9 @@ those of blocks of this length hardly.
 """
 
 
-def block_bootstrap_counts(
-    blocks: int, rng: np.random.Generator, count: int = 1000, drawn: int | None = None
-) -> np.ndarray:
+def block_bootstrap_counts(blocks: int, rng: np.random.Generator, count: int = 1000) -> np.ndarray:
     """How often each of K blocks is in each of `count` samples of the block bootstrap, (count, K).
 
-    Multiplied by the sums of the blocks (K, ...) it gives the sum of each sample. `drawn`: number
-    of blocks in a sample, by default K.
+    Multiplied by the sums of the blocks (K, ...) it gives the sum of each sample.
     """
-    return rng.multinomial(drawn or blocks, np.full(blocks, 1.0 / blocks), size=count)
+    return rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=count)

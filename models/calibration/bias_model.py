@@ -147,12 +147,12 @@ def long_enough(errors: np.ndarray, dt: float) -> bool:
 
 
 def estimate_bias_model(
-    errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float, window: float = BOUNDED_MEAN
+    errors: np.ndarray | Sequence[np.ndarray], dt: float, gamma: float
 ) -> BiasModel:
     """Estimate the persistent part of errors (N, 3) [m/s] every dt [s], of one sequence or several.
 
-    gamma is the joint level of `epsilon`, window [s] the time of its mean. Raises SurefootError
-    where there are fewer than LEAST blocks, or too few windows for a bound.
+    gamma is the joint level of `epsilon`. Raises SurefootError where there are fewer than LEAST
+    blocks, or too few windows for a bound.
     """
     sequences = [errors] if isinstance(errors, np.ndarray) else list(errors)
     size = max(1, round(MIXING_BLOCK / dt))
@@ -176,7 +176,7 @@ def estimate_bias_model(
     left = np.concatenate([block_means(part, size) for part in mixing])
     scale = np.sqrt(_innovations(y, fresh, ratio, phi)[0] / np.mean(left**2, axis=0))
     mixing = [part * scale for part in mixing]
-    length = max(1, round(window / dt))
+    length = max(1, round(BOUNDED_MEAN / dt))
     windows = np.concatenate([block_means(part, length) for part in mixing])
     return BiasModel(
         covariance=correlation * np.outer(std, std),

@@ -32,22 +32,21 @@ Stepper = Callable[[np.ndarray], np.ndarray]
 
 class _Recurrence(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, gates, W_hh, b_hh, h0):
-        """`scan` over (T, B, 3H) gates; returns the hidden states (T, B, H).
+    def forward(ctx, gates, W_hh, b_hh):
+        """`scan` over (T, B, 3H) gates from a zero state; returns the hidden states (T, B, H).
 
         Args:
             ctx: torch's context, keeps the arrays for `backward`.
             gates: (T, B, 3H), the inputs' share of the gates.
             W_hh: (3H, H), weights of the hidden state.
             b_hh: (3H,), their biases.
-            h0: (B, H), the first hidden state.
         """
         W = W_hh.detach().numpy()
         h, saved = scan(
             gates.detach().contiguous().numpy(),
             np.ascontiguousarray(W.T),
             b_hh.detach().numpy(),
-            h0.detach().contiguous().numpy(),
+            np.zeros((gates.shape[1], W.shape[1]), np.float32),
         )
         ctx.arrays = (h, saved, np.ascontiguousarray(W))
         return torch.from_numpy(h)[1:]
@@ -56,10 +55,10 @@ class _Recurrence(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, dh_out):  # pyright: ignore[reportIncompatibleMethodOverride]
         h, saved, W = ctx.arrays
-        d_in, d_rec, dh0 = scan_backward(dh_out.contiguous().numpy(), h, saved, W)
+        d_in, d_rec = scan_backward(dh_out.contiguous().numpy(), h, saved, W)
         d_rec = torch.from_numpy(d_rec).flatten(0, 1)
         dW = d_rec.T @ torch.from_numpy(h[:-1]).flatten(0, 1)
-        return torch.from_numpy(d_in), dW, d_rec.sum(0), torch.from_numpy(dh0)
+        return torch.from_numpy(d_in), dW, d_rec.sum(0)
 
 
 class Recurrent(torch.nn.Module):
@@ -80,7 +79,7 @@ class GRU(Recurrent):
     """A GRU layer in float32, with torch.nn.GRU's equations and parameter names; on another device
     than the CPU, where the compiled recurrence runs, with its own.
 
-    `forward(x (T, B, inputs), h0 (B, hidden) | None) -> h (T, B, hidden)`; no h0 means zeros.
+    `forward(x (T, B, inputs)) -> h (T, B, hidden)`, from a zero state.
     """
 
     width, rate = 64, 1e-2
@@ -93,16 +92,16 @@ class GRU(Recurrent):
         self.bias_ih_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
         self.bias_hh_l0 = torch.nn.Parameter(torch.zeros(3 * hidden))
 
-    def forward(self, x: torch.Tensor, h0: torch.Tensor | None = None) -> torch.Tensor:
-        h0 = x.new_zeros(x.shape[1], self.features) if h0 is None else h0
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         if x.device.type != "cpu":
-            return self._by_torch(x, h0)
+            return self._by_torch(x)
         gates = torch.nn.functional.linear(x, self.weight_ih_l0, self.bias_ih_l0)
-        return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0, h0)  # pyright: ignore[reportReturnType]
+        return _Recurrence.apply(gates, self.weight_hh_l0, self.bias_hh_l0)  # pyright: ignore[reportReturnType]
 
-    def _by_torch(self, x: torch.Tensor, h0: torch.Tensor) -> torch.Tensor:
+    def _by_torch(self, x: torch.Tensor) -> torch.Tensor:
         weights = self.weight_ih_l0, self.weight_hh_l0, self.bias_ih_l0, self.bias_hh_l0
-        return torch.gru(x, h0[None], weights, True, 1, 0.0, self.training, False, False)[0]
+        h0 = x.new_zeros(1, x.shape[1], self.features)
+        return torch.gru(x, h0, weights, True, 1, 0.0, self.training, False, False)[0]
 
 
 class OfTorch(Recurrent):

@@ -76,8 +76,7 @@ def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.nd
     """Reverse mode of `scan`: back-propagation through time.
 
     dh_out (T, B, H): gradient of the loss by each output h[1:]; W (3H, H): W_hh. Returns the
-    gradients by the inputs' contribution, (T, B, 3H), by the recurrent one W_hh h + b_hh, (T, B,
-    3H), and by h0, (B, H).
+    gradients by the inputs' contribution and by the recurrent one W_hh h + b_hh, (T, B, 3H) each.
     """
     T, B, H = dh_out.shape
     d_in = np.empty((T, B, 3 * H), np.float32)
@@ -100,4 +99,4 @@ def scan_backward(dh_out: np.ndarray, h: np.ndarray, saved: np.ndarray, W: np.nd
                 dk = dr[k]
                 for j in range(H):
                     d[j] += dk * W[k, j]
-    return d_in, d_rec, dh
+    return d_in, d_rec

@@ -5,7 +5,6 @@ landing foot stops within a millisecond; a lifting foot is unloaded for a while 
 is sensed as lifted in that time. A foot that slides as it lands does not show when.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,8 +35,6 @@ NEARLY_ALL = 95.0
 """Percentile of the delays by which nearly all contacts have begun."""
 CHANGE_WINDOW = 0.08
 """Time before and after a contact change in which the foot's motion is examined [s]."""
-CLOSE_WINDOW = 0.024
-"""Time from a contact change, into the stance, within which nearly all feet stop and start [s]."""
 USUAL_DELAY = (-0.0005, -0.018)
 """Usual delay of the beginning and end of contacts on simulated walks [s], within 0.7 ms and 12 ms
 on models of seven robots.
@@ -106,56 +103,24 @@ def within_windows(motion: ReferenceMotion, log: Log, robot: Machine) -> Referen
 def _all_motion_changes(
     log: Log, feet: Feet, motion: ReferenceMotion
 ) -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Rows at which each foot's contact changes, and `motion_changes` there.
-
-    Most feet stop and start close to the change of contact, so the search goes on into the stance
-    only for those that do not.
-    """
-    rows, close, bounce, slide = (
-        round(time * log.rate)
-        for time in (CHANGE_WINDOW, CLOSE_WINDOW, SHORTEST_FLIGHT, LEAST_SHIFT)
+    """Rows at which each foot's contact changes, and `motion_changes` there."""
+    rows, bounce, slide = (
+        round(time * log.rate) for time in (CHANGE_WINDOW, SHORTEST_FLIGHT, LEAST_SHIFT)
     )
-    rows, close, slide, contact = max(1, rows), max(1, close), max(FEWEST_ROWS, slide), log.contact
+    rows, slide, contact = max(1, rows), max(FEWEST_ROWS, slide), log.contact
     turns = [changes(stands) for stands in contact.T]
-    where = near_changes(turns, contact, rows, close) & motion.ok[:, None]
-    speeds = speeds_over_ground(log, feet, motion, where)
-
-    def search() -> list[tuple[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-        return [
-            (
-                turn,
-                motion_changes(
-                    log.t, contact[:, leg], *speeds[:, :, leg], turn, rows, bounce, slide
-                ),
-            )
-            for leg, turn in enumerate(turns)
-        ]
-
-    moves = search()
-    left = [turn[np.isnan(when) & (at > 0)] for turn, (at, when, _) in moves]
-    more = near_changes(left, contact, rows, rows) & motion.ok[:, None] & ~where
-    if not more.any():
-        return moves
-    speeds = np.where(more, speeds_over_ground(log, feet, motion, more), speeds)
-    return search()
-
-
-def near_changes(
-    turns: Sequence[np.ndarray], contact: np.ndarray, in_swing: int, in_stance: int
-) -> np.ndarray:
-    """Mask (N, L) of the rows near a contact change of each foot: within `in_swing` rows while it
-    swings, and within `in_stance` while it stands.
-    """
-    n = len(contact)
-    near = np.zeros((n, len(turns)), dtype=bool)
-    for leg, change in enumerate(turns):
-        after = np.where(contact[change, leg], in_stance, in_swing)
-        before = in_swing + in_stance - after
-        count = np.zeros(n + 1, dtype=int)
-        np.add.at(count, np.maximum(change - before - 1, 0), 1)
-        np.add.at(count, np.minimum(change + after + 1, n), -1)
-        near[:, leg] = np.cumsum(count[:-1]) > 0
-    return near
+    near = np.zeros(contact.shape, dtype=bool)
+    for leg, turn in enumerate(turns):
+        around = turn[:, None] + np.arange(-rows - 1, rows + 1)
+        near[np.clip(around, 0, len(contact) - 1), leg] = True
+    speeds = speeds_over_ground(log, feet, motion, near & motion.ok[:, None])
+    return [
+        (
+            turn,
+            motion_changes(log.t, contact[:, leg], *speeds[:, :, leg], turn, rows, bounce, slide),
+        )
+        for leg, turn in enumerate(turns)
+    ]
 
 
 def speeds_over_ground(

@@ -8,6 +8,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.core.lie import gammas, hat
+from surefoot.estimator.core.state import retract
 
 
 def wedge(xi: np.ndarray) -> np.ndarray:
@@ -55,6 +56,19 @@ def group(mean: np.ndarray) -> np.ndarray:
     X = np.eye(len(mean) - 2)
     X[:3, :3], X[:3, 3:] = mean[:3], mean[[3, 4, *range(7, len(mean))]].T
     return X
+
+
+def retracted(mean: np.ndarray, delta: np.ndarray, contacts: int = 0) -> np.ndarray:
+    """The packed mean after `retract`."""
+    out = mean.copy()
+    retract(out, delta, contacts)
+    return out
+
+
+def differences(function, size: int, h: float = 1e-6) -> np.ndarray:
+    """Derivative (m, size) of a function of (size,) at zero, by central differences."""
+    ends = [(function(h * e), function(-h * e)) for e in np.eye(size)]
+    return np.column_stack([(up - down) / (2 * h) for up, down in ends])
 
 
 def error(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:

@@ -3,12 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from surefoot.estimator.core.state import NavState
+from surefoot.estimator.core.state import FilterNoise, NavState, retract
 from surefoot.estimator.evaluation.trajectory import Trajectory
 from surefoot.estimator.initial import InitialStd, start_covariance
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.log import Log, Meta
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,34 @@ class Motion:
     def start(self, **std: float) -> tuple[NavState, np.ndarray]:
         state = NavState(self.R[0], self.v[0], self.p[0])
         return state, start_covariance(state, InitialStd(**std))
+
+    def drawn_start(self, rng, **std: float) -> tuple[NavState, np.ndarray]:
+        """A start that is off by an error drawn from its covariance."""
+        state, P = self.start(**std)
+        mean = state.pack()
+        retract(mean, -rng.multivariate_normal(np.zeros(15), P), 0)
+        return NavState.unpack(mean), P
+
+    def sensed(self, rng, noise: FilterNoise) -> tuple[np.ndarray, np.ndarray]:
+        """Gyro and accelerometer with the white noise that a filter is told."""
+        scale = 1.0 / np.sqrt(self.t[1] - self.t[0])
+        gyro = self.gyro + rng.normal(size=self.gyro.shape) * noise.gyro * scale
+        return gyro, self.accel + rng.normal(size=self.accel.shape) * noise.accel * scale
+
+    def log(self, gyro: np.ndarray | None = None, accel: np.ndarray | None = None) -> Log:
+        """A log of these readings, by default the true ones, with the motion as its reference."""
+        gyro, accel = self.gyro if gyro is None else gyro, self.accel if accel is None else accel
+        groups = {"gyro": gyro, "accel": accel, "ref_p": self.p, "ref_v": self.v}
+        columns = {"t": self.t}
+        for name, values in groups.items():
+            columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+        q = quaternion_from_matrix(self.R)
+        columns |= {f"ref_q_{axis}": q[:, i] for i, axis in enumerate("wxyz")}
+        return Log(pd.DataFrame(columns), Meta(rate=round(1.0 / (self.t[1] - self.t[0]))))
+
+    def part(self, n: int) -> "Motion":
+        """The first n rows."""
+        return Motion(**{name: values[:n] for name, values in vars(self).items()})
 
 
 def attitude(t: np.ndarray) -> Rotation:
@@ -86,6 +117,14 @@ class Feet:
     feet_I: np.ndarray
     contact: np.ndarray
     rates_I: np.ndarray
+
+    def sensed(self, walk: Motion, rng, creep: float, std: float) -> np.ndarray:
+        """Feet of the first rows that creep [m/s/sqrt(Hz)] over the ground, measured with noise."""
+        n, size = len(walk.t), (len(walk.t), 4, 3)
+        root = np.sqrt(walk.t[1] - walk.t[0])
+        crept = np.cumsum(rng.normal(size=size) * creep * root, axis=0)
+        moved = np.einsum("nji,nkj->nki", walk.R, crept)
+        return self.feet_I[:n] + moved + rng.normal(size=size) * std
 
 
 def feet(walk: Motion, radius: float = 0.0, slip: float = 0.0) -> Feet:

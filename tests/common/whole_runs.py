@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -18,13 +18,6 @@ def rows_of(t, stride):
     return every_row(t) if stride is None else np.arange(0, len(t), stride)
 
 
-def filter_of(state, covariance, noise=None, persistent=None):
-    """The filter with this model of the persistent error, or the one without any."""
-    if persistent is None:
-        return InvariantFilter(state, covariance, noise)
-    return PersistentFilter(state, covariance, persistent, noise)
-
-
 def run_imu(t, gyro, accel, state, covariance, noise=None, stride=None):
     imu = imu_samples(t, gyro, accel)
     return InvariantFilter(state, covariance, noise).run(imu, rows=rows_of(imu.t, stride))
@@ -35,7 +28,7 @@ def run_velocity(
 ):
     imu = imu_samples(t, gyro, accel)
     velocities = gaussian_velocities(rows, v_I, cov, len(imu.t))
-    one = filter_of(state, covariance, noise, persistent)
+    one = InvariantFilter(state, covariance, noise, persistent)
     return one.run(imu, velocities, rows_of(imu.t, stride))
 
 
@@ -45,7 +38,7 @@ def run_coverage(
 ):  # fmt: skip
     imu = imu_samples(t, gyro, accel)
     velocities = bounded_velocities(rows, v_I, epsilon, len(imu.t))
-    one = filter_of(state, covariance, noise, persistent)
+    one = InvariantFilter(state, covariance, noise, persistent)
     settings = CoverageSettings(gamma, iterations)
     return one.run(imu, velocities, rows_of(imu.t, stride), settings)
 

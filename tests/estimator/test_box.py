@@ -65,37 +65,6 @@ def test_far_tails_of_nearly_singular_covariances(distance):
     assert worst_error(found, wanted, cov) < (1e-8 if found[0] > -1000 else 1e-6)
 
 
-def test_independent_axes_are_three_truncated_normals():
-    """Against scipy's one-dimensional truncated normal, where that keeps its digits."""
-    from scipy.stats import norm, truncnorm
-
-    mean, s = np.array([0.3, -1.0, 2.0]), np.array([0.5, 2.0, 1.0])
-    a, b = np.array([-0.7, 1.0, -np.inf]), np.array([1.1, np.inf, 0.4])
-    log_prob, m, cov = box_moments(mean, np.diag(s**2), mean + s * a, mean + s * b)
-    assert_allclose(log_prob, np.log(norm.cdf(b) - norm.cdf(a)).sum(), rtol=1e-12)
-    for i in range(3):
-        law = truncnorm(a[i], b[i], loc=mean[i], scale=s[i])
-        assert_allclose(m[i], law.mean(), rtol=1e-11)
-        assert_allclose(cov[i, i], law.var(), rtol=1e-9)
-    assert_allclose(cov - np.diag(np.diag(cov)), 0, atol=1e-12)
-
-
-@pytest.mark.parametrize("distance", [40.0, 100.0, 1000.0])
-def test_far_tails_meet_their_asymptotics(distance):
-    """On a half space at a the moments are those of an exponential of rate a: 1/a, 1/a^2."""
-    from scipy.special import log_ndtr
-
-    lower = np.array([distance, -np.inf, -np.inf])
-    log_prob, mean, cov = box_moments(np.zeros(3), np.eye(3), lower, np.full(3, np.inf))
-    assert_allclose(log_prob, log_ndtr(-distance), rtol=1e-12)
-    a2 = distance**-2
-    assert_allclose(
-        (mean[0] - distance) * distance, 1 - 2 * a2 + 10 * a2**2, rtol=100 * a2**3 + 1e-9
-    )
-    assert_allclose(cov[0, 0] / a2, 1 - 6 * a2 + 50 * a2**2, rtol=600 * a2**3 + 1e-9)
-    assert_allclose(cov[1:, 1:], np.eye(2), atol=1e-10)
-
-
 def test_the_whole_space_is_the_prior():
     rng = np.random.default_rng(0)
     for smallest in (0.5, 0.03):
@@ -104,29 +73,6 @@ def test_the_whole_space_is_the_prior():
         assert_allclose(log_prob, 0, atol=1e-11)
         assert_allclose(m, mean, atol=1e-11)
         assert_allclose(C, cov, atol=1e-10)
-
-
-def test_a_box_is_the_sum_of_its_halves():
-    """Cutting a box and mixing the parts gives it back: ordinary, correlated and far away."""
-    rng = np.random.default_rng(3)
-    for smallest, distance in ((0.5, 0.0), (0.1, 3.0), (0.5, 12.0), (0.02, 0.0)):
-        mean, cov, lower, upper = box(rng, smallest, distance, (0.5, 2.0))
-        whole = box_moments(mean, cov, lower, upper)
-        for axis in range(3):
-            cut = lower[axis] + 0.4 * (upper[axis] - lower[axis])
-            low, high = lower.copy(), upper.copy()
-            high[axis] = low[axis] = cut
-            parts = [box_moments(mean, cov, lower, high), box_moments(mean, cov, low, upper)]
-            weights = np.exp([part[0] - whole[0] for part in parts])
-            assert_allclose(weights.sum(), 1, rtol=1e-10)
-            s = np.sqrt(np.diag(whole[2]))
-            m = sum(w * part[1] for w, part in zip(weights, parts, strict=True))
-            assert_allclose((m - whole[1]) / s, 0, atol=1e-9)
-            C = sum(
-                w * (part[2] + np.outer(part[1] - m, part[1] - m))
-                for w, part in zip(weights, parts, strict=True)
-            )
-            assert_allclose((C - whole[2]) / np.outer(s, s), 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("bounded", [1, 2])
@@ -172,24 +118,6 @@ def test_what_integration_adds_above_the_prior_is_taken_off(correlations, lower,
     assert np.linalg.eigvalsh(C - cov)[0] > -1e-11
 
 
-def test_order_and_units_of_the_axes_do_not_matter():
-    rng = np.random.default_rng(5)
-    mean, cov, lower, upper = box(rng, 0.2, 2.0, (0.5, 2.0))
-    log_prob, m, C = box_moments(mean, cov, lower, upper)
-    for order in ([1, 2, 0], [2, 1, 0], [0, 2, 1]):
-        units = np.array([1e-3, 1.0, 1e4])
-        scale = np.outer(units, units)
-        other = box_moments(
-            mean[order] * units,
-            cov[np.ix_(order, order)] * scale,
-            lower[order] * units,
-            upper[order] * units,
-        )
-        assert_allclose(other[0], log_prob, rtol=1e-11)
-        assert_allclose(other[1], m[order] * units, rtol=1e-10)
-        assert_allclose(other[2], C[np.ix_(order, order)] * scale, rtol=1e-8, atol=0)
-
-
 def test_nearest_point_is_the_minimum_of_the_distance():
     """27 faces against random search: nothing inside the box is nearer, and it lies inside."""
     rng = np.random.default_rng(2)
@@ -212,13 +140,16 @@ def test_nearest_point_is_the_minimum_of_the_distance():
 def test_bad_input_is_a_clear_value_error():
     good = {"mean": np.zeros(3), "cov": np.eye(3), "lower": -np.ones(3), "upper": np.ones(3)}
     for change, words in (
-        ({"mean": np.zeros(2)}, r"mean has shape \(2,\), not \(3,\)"),
-        ({"cov": np.eye(2)}, r"cov has shape"),
-        ({"mean": np.array([0, np.nan, 0])}, "mean has values that are not finite"),
-        ({"cov": np.diag([1, 1, np.inf])}, "cov has values that are not finite"),
-        ({"lower": np.array([np.nan, 0, 0])}, "lower has values that are not finite"),
-        ({"lower": np.ones(3)}, "lower must be below upper"),
-        ({"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)}, "lower must be below upper"),
+        ({"mean": np.zeros(2)}, r"mean: shape \(2,\) where \(3\) is expected"),
+        ({"cov": np.eye(2)}, "cov: shape"),
+        ({"mean": np.array([0, np.nan, 0])}, "mean: has values that are not finite"),
+        ({"cov": np.diag([1, 1, np.inf])}, "cov: has values that are not finite"),
+        ({"lower": np.array([np.nan, 0, 0])}, "lower must be three numbers below"),
+        ({"lower": np.ones(3)}, "lower must be three numbers below"),
+        (
+            {"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)},
+            "lower must be three numbers below",
+        ),
         ({"cov": np.diag([1.0, 1.0, 0.0])}, "not positive definite"),
         ({"cov": -np.eye(3)}, "not positive definite"),
         ({"cov": np.eye(3) + np.eye(3, k=1) * 0.1}, "not symmetric"),
@@ -259,19 +190,6 @@ def test_a_box_millions_of_deviations_away_has_moments_inside_it(C, low, high):
     assert np.isfinite(log_prob)
     assert np.all((mean >= low - 1e-9) & (mean <= high + 1e-9))
     assert np.linalg.eigvalsh(cov).min() >= -1e-15
-
-
-def test_a_grid_leaves_out_an_axis_without_bounds():
-    """Of independent axes: the other two are truncated normals, the free one stays as it was."""
-    from scipy.stats import truncnorm
-
-    low, high = np.array([-1.0, 0.5, -np.inf]), np.array([1.0, 2.0, np.inf])
-    mode, mean, cov = np.array([0.0, 0.5, 0.0]), np.empty(3), np.empty((3, 3))
-    log_prob = grid_moments(np.eye(3), low, high, mode, 0.25, mean, cov)
-    axes = truncnorm(low[:2], high[:2])
-    assert_allclose(log_prob, np.log(np.diff(ndtr([low[:2], high[:2]]), axis=0)).sum(), rtol=1e-10)
-    assert_allclose(mean, [*axes.mean(), 0.0], atol=1e-10)
-    assert_allclose(cov, np.diag([*axes.var(), 1.0]), atol=1e-10)
 
 
 def test_what_is_above_the_prior_is_clipped_to_it_and_the_rest_is_kept():

@@ -9,23 +9,11 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 import pytest
+from theorem import truncated
 
 from surefoot.estimator.box import box_moments
 
 mp.mp.dps = 40
-
-
-def truncated(m, s, low, high):
-    """Mass, mean and second moment of N(m, s^2) on (low, high), all times the mass."""
-    a, b = (low - m) / s, (high - m) / s
-    # Through the complementary tail where both bounds lie above the mean.
-    mass = mp.ncdf(-a) - mp.ncdf(-b) if a > 0 else mp.ncdf(b) - mp.ncdf(a)
-    da = mp.npdf(a) if mp.isfinite(a) else mp.mpf(0)
-    db = mp.npdf(b) if mp.isfinite(b) else mp.mpf(0)
-    ea = a * da if mp.isfinite(a) else mp.mpf(0)
-    eb = b * db if mp.isfinite(b) else mp.mpf(0)
-    z1, z2 = da - db, mass + ea - eb
-    return mass, m * mass + s * z1, m * m * mass + 2 * m * s * z1 + s * s * z2
 
 
 def exact(rho, low, high):

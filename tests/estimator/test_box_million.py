@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from surefoot.estimator.box import box_moments_kernel
+from surefoot.estimator.core.checks import is_definite
 from surefoot.sim.common.kernels import kernel
 
 ROUNDING = 1e-9
@@ -62,20 +63,6 @@ def boxes(rng, count: int):
 
 
 @kernel
-def definite(A) -> bool:
-    """Whether a Cholesky factor of A (3, 3) exists."""
-    a = A[0, 0]
-    if not a > 0.0:
-        return False
-    b, c = A[1, 0] / a, A[2, 0] / a
-    d = A[1, 1] - b * A[1, 0]
-    if not d > 0.0:
-        return False
-    e = A[2, 1] - b * A[2, 0]
-    return A[2, 2] - c * A[2, 0] - e * e / d > 0.0
-
-
-@kernel
 def check(means, covs, lowers, uppers, verdicts):
     """The first of WORDS that holds for each box."""
     mean, cov, scaled, left = np.empty(3), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -97,9 +84,9 @@ def check(means, covs, lowers, uppers, verdicts):
                 scaled[i, j] = cov[i, j] / np.sqrt(cov[i, i] * cov[j, j])
                 left[i, j] = covs[n, i, j] - cov[i, j] + (ROUNDING * covs[n, i, i] if i == j else 0)
                 left[i, j] /= np.sqrt(covs[n, i, i] * covs[n, j, j])
-        if not definite(scaled):
+        if not is_definite(scaled):
             verdicts[n] = 4
-        elif not definite(left):
+        elif not is_definite(left):
             verdicts[n] = 5
 
 

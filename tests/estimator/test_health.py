@@ -8,7 +8,7 @@ import pytest
 from motions import feet, motion
 from numpy.testing import assert_allclose
 
-from surefoot.estimator.core.state import FilterNoise, retract
+from surefoot.estimator.core.state import FilterNoise
 from surefoot.estimator.evaluation.health import RunSummary, health, joined_summary, summary_of_run
 from surefoot.estimator.evaluation.innovation_sums import add_innovation, windows_of
 from surefoot.estimator.evaluation.trajectory import Trajectory
@@ -51,35 +51,17 @@ def legs(walk):
     return feet(walk)
 
 
-def log_of(walk, gyro, accel):
-    frame = pd.DataFrame({"t": walk.t})
-    for k, axis in enumerate("xyz"):
-        frame[f"gyro_{axis}"], frame[f"accel_{axis}"] = gyro[:, k], accel[:, k]
-    return Log(frame, Meta(rate=250.0))
-
-
-def sensed(walk, rng, bias=0.0):
-    """Gyro and accelerometer with the noise that the filter is told."""
-    size, rate = walk.gyro.shape, 250.0
-    gyro = walk.gyro + bias + rng.normal(size=size) * NOISE.gyro * np.sqrt(rate)
-    return gyro, walk.accel + rng.normal(size=size) * NOISE.accel * np.sqrt(rate)
-
-
 def leg_run(walk, legs, bias=0.0, contact=None, gate=None, seed=3, cuts=()):
     """Estimate and health of the leg filter, its model true but for what is given."""
     rng = np.random.default_rng(seed)
-    gyro, accel = sensed(walk, rng, bias)
-    state, P = walk.start(b_g=1e-3)
-    start = state.pack()
-    retract(start, rng.multivariate_normal(np.zeros(15), P), 0)
-    n = len(walk.t)
-    creep = np.cumsum(rng.normal(size=(n, 4, 3)) * 1e-2 / np.sqrt(250.0), axis=0)
-    moved = np.einsum("nji,nkj->nki", walk.R, creep)
-    measured = legs.feet_I + moved + rng.normal(size=(n, 4, 3)) * STD
+    n, start = len(walk.t), walk.drawn_start(rng, b_g=1e-3)
+    gyro, accel = walk.sensed(rng, NOISE)
+    gyro += bias
+    measured = legs.sensed(walk, rng, 1e-2, STD)
     contact = legs.contact if contact is None else contact
-    one = LegFilter(state, P, LEG_NOISE, slip_gate=gate)
+    one = LegFilter(*start, LEG_NOISE, slip_gate=gate)
     cov = np.broadcast_to(np.eye(3) * STD**2, (n, 4, 3, 3))
-    log, parts, found = log_of(walk, gyro, accel), [], []
+    log, parts, found = walk.log(gyro, accel), [], []
     for piece in np.split(np.arange(n), cuts):
         imu = imu_samples(walk.t[piece], gyro[piece], accel[piece], after=one.t)
         some = one.legs(measured[piece], contact[piece], cov[piece])
@@ -224,7 +206,7 @@ def test_pieces_give_the_health_of_the_whole(walk, legs):
 def test_velocities(walk, kind):
     """Right ones are believed; Gaussian ones that are off by ten deviations for a while are not."""
     rng = np.random.default_rng(5)
-    gyro, accel = sensed(walk, rng)
+    gyro, accel = walk.sensed(rng, NOISE)
     rows = np.arange(5, len(walk.t), 5)
     v_I = walk.v_I[rows] + rng.normal(size=(len(rows), 3)) * 0.05
     off = np.where((walk.t[rows] > 8.0)[:, None], 0.5, 0.0)
@@ -240,7 +222,7 @@ def test_velocities(walk, kind):
             bounds = np.full(3, 0.05 * 1.8)  # holds 93 % of each axis, 80 % of all three
             measured = bounded_velocities(rows, v_I + error, bounds, len(walk.t))
             estimate = one.run(imu, measured, settings=CoverageSettings(0.8))
-        found = health(summary_of_run(estimate, log_of(walk, gyro, accel)), (), (1e-3, 1e-4))
+        found = health(summary_of_run(estimate, walk.log(gyro, accel)), (), (1e-3, 1e-4))
         assert found.lost == lost, found.sentence(kind)
         if not lost:
             assert found.sensors[0].nis / 3 == pytest.approx(1.0, abs=0.2)
@@ -252,8 +234,8 @@ def test_an_estimate_without_innovations_is_judged_by_the_imu(walk, legs):
     """A user's own filter keeps no sums: a velocity that jumps is seen all the same."""
     (estimate,), _ = leg_run(walk, legs)
     bare = replace(estimate, innovations=None)
-    gyro, accel = sensed(walk, np.random.default_rng(3))
-    log = log_of(walk, gyro, accel)
+    gyro, accel = walk.sensed(np.random.default_rng(3), NOISE)
+    log = walk.log(gyro, accel)
     assert not health(summary_of_run(bare, log), LEGS, (1e-3, 1e-4)).lost
     jumping = replace(bare, v_GI=bare.v_GI + np.where(bare.t[:, None] > 10.0, 4.0, 0.0))
     found = health(summary_of_run(jumping, log), LEGS, (1e-3, 1e-4))
@@ -268,7 +250,7 @@ def test_a_run_without_a_finite_estimate_is_lost(walk):
     none = trajectory(walk.t, Estimates(np.arange(5), mean, np.tile(np.eye(15), (5, 1, 1))))
     assert not len(none.t)
     found = health(
-        summary_of_run(none, log_of(walk, *sensed(walk, np.random.default_rng(0)))),
+        summary_of_run(none, walk.log(*walk.sensed(np.random.default_rng(0), NOISE))),
         LEGS,
         (1e-3, 1e-4),
     )
@@ -283,7 +265,7 @@ def test_what_is_not_finite_ends_the_estimate(walk):
     estimate = trajectory(walk.t, found)
     assert estimate.diverged
     assert len(estimate.t) == 60
-    log = log_of(walk, walk.gyro, walk.accel)
+    log = walk.log(walk.gyro, walk.accel)
     judged = health(summary_of_run(estimate, log), (), (0.0, 0.0))
     assert "no longer finite" in judged.sentence("leg")
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from lie_group import error, so3_exp
+from lie_group import differences, error, retracted, so3_exp
 from numpy.testing import assert_allclose
 
 from surefoot.estimator.core import lie
 from surefoot.estimator.core.propagation import gamma_derivatives, propagate
-from surefoot.estimator.core.state import FilterNoise, NavState, retract
+from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.sim.common.gravity import GRAVITY
 
 SILENT = np.zeros((4, 3))
@@ -29,22 +29,18 @@ def case():
 def step(mean, covariance, gyro, accel, dt, noise=SILENT):
     n = len(covariance)
     propagate(mean, covariance, gyro, accel, dt, noise, np.zeros((n, 6)), np.zeros((n - 15, 3)))
+    return mean
 
 
 @pytest.mark.parametrize("dt", [1e-3, 0.05])
 def test_transition_is_the_derivative_of_the_step(case, dt):
     mean, gyro, accel, _ = case
-    after = mean.copy()
-    h = 1e-6
-    step(after, np.eye(15), gyro, accel, dt)
+    after = step(mean.copy(), np.eye(15), gyro, accel, dt)
 
     def moved(delta):
-        other = mean.copy()
-        retract(other, delta, 0)
-        step(other, np.eye(15), gyro, accel, dt)
-        return error(after, other)
+        return error(after, step(retracted(mean, delta), np.eye(15), gyro, accel, dt))
 
-    Phi = np.column_stack([(moved(h * e) - moved(-h * e)) / (2 * h) for e in np.eye(15)])
+    Phi = differences(moved, 15)
     # The kernel hides Phi: Sigma = a a^T shows Phi a for each direction.
     rng = case[3]
     A = rng.normal(size=(15, 15))
@@ -55,26 +51,18 @@ def test_transition_is_the_derivative_of_the_step(case, dt):
 
 def test_noise_is_anisotropic_and_enters_as_the_biases_do(case):
     mean, gyro, accel, _ = case
-    dt, h = 0.01, 1e-6
+    dt = 0.01
     noise = FilterNoise(
         np.array([0.1, 0.2, 0.3]), np.array([0.5, 0.1, 0.2]), 0.01, np.array([0.0, 0.1, 0.2])
     )
     after = mean.copy()
     Q = np.zeros((15, 15))
     step(after, Q, gyro, accel, dt, noise.packed())
-    columns = []
-    for k in range(6):
-        sample = np.concatenate([accel, gyro])
-        up, down = sample.copy(), sample.copy()
-        up[k] += h
-        down[k] -= h
-        ends = []
-        for s in (up, down):
-            end = mean.copy()
-            step(end, np.eye(15), s[3:], s[:3], dt)
-            ends.append(error(after, end))
-        columns.append((ends[0] - ends[1]) / (2 * h))
-    B = np.column_stack(columns)
+
+    def moved(more):
+        return error(after, step(mean.copy(), np.eye(15), gyro + more[3:], accel + more[:3], dt))
+
+    B = differences(moved, 6)
     wanted = B @ np.diag(noise.packed()[:2].ravel() / dt) @ B.T
     wanted[9:, 9:] += np.diag(noise.packed()[2:].ravel() * dt)
     assert_allclose(Q, wanted, atol=1e-9)
@@ -107,7 +95,7 @@ def test_mean_is_exact_for_a_constant_sample(case):
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 1e-2, 1.0, 2.5])
 def test_gamma_derivatives(angle):
     rng = np.random.default_rng(0)
-    phi, a, h = rng.normal(size=3), rng.normal(size=3), 1e-5
+    phi, a = rng.normal(size=3), rng.normal(size=3)
     phi *= angle / np.linalg.norm(phi)
     D1, D2 = np.empty((3, 3)), np.empty((3, 3))
     gamma_derivatives(phi, a, lie.entire(phi @ phi), D1, D2)
@@ -117,9 +105,8 @@ def test_gamma_derivatives(angle):
         lie.gammas(x, *g)
         return g[1] @ a, g[2] @ a
 
-    pairs = [(products(phi + h * e), products(phi - h * e)) for e in np.eye(3)]
     for m, D in enumerate((D1, D2)):
-        difference = np.column_stack([(up[m] - down[m]) / (2 * h) for up, down in pairs])
+        difference = differences(lambda delta, m=m: products(phi + delta)[m], 3, 1e-5)
         assert_allclose(D, difference, atol=1e-9)
 
 

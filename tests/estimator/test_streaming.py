@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from motions import feet, motion
 from numpy.testing import assert_array_equal
-from whole_runs import filter_of, run_coverage, run_imu, run_leg, run_velocity
+from whole_runs import run_coverage, run_imu, run_leg, run_velocity
 
 from surefoot.estimator.filter import InvariantFilter
 from surefoot.estimator.leg import LegFilter
@@ -57,32 +57,31 @@ def assert_same(states, covariances, whole):
     assert_array_equal(covariances, whole.covariance)
 
 
-def stream(one, log, at_row):
-    """Feed a log to a filter; the states and covariances of every STRIDE-th row."""
+def stream(one, log, update=lambda k: None, rates=None):
+    """Feed a log to a filter, each row to `update` too; states and covariances of every STRIDE-th
+    row."""
     states, covariances = [], []
-    for k in range(len(log[0])):
-        at_row(k)
+    for k, (t, gyro, accel) in enumerate(zip(*log, strict=True)):
+        if k:
+            one.predict(gyro, accel, t - log[0][k - 1], *([] if rates is None else [rates[k]]))
+        update(k)
         if k % STRIDE == 0:
             states.append(one.state)
             covariances.append(one.covariance)
     return states, covariances
 
 
-@pytest.mark.parametrize("iterations", [1, 3])
-@pytest.mark.parametrize("persistent", [None, LASTING], ids=["plain", "persistent"])
-def test_coverage(walk, log, measured, persistent, iterations):
+def check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations=1):
+    """The whole run, and pi of each call of the stream, which has the same numbers."""
     t, gyro, accel = log
-    rows, v_I, epsilon, _ = measured
-    start = walk[0].start()
-    one, pi = filter_of(*start, persistent=persistent), []
+    start, pi = walk[0].start(), []
+    one = InvariantFilter(*start, persistent=persistent)
 
-    def at_row(k):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
+    def update(k):
         for m in np.flatnonzero(rows == k):
             pi.append(one.update_coverage(v_I[m], epsilon[m], 0.8, iterations))
 
-    found = stream(one, log, at_row)
+    found = stream(one, log, update)
     whole = run_coverage(
         t, gyro, accel, rows, v_I, epsilon, 0.8, *start, stride=STRIDE, persistent=persistent,
         iterations=iterations,
@@ -90,32 +89,26 @@ def test_coverage(walk, log, measured, persistent, iterations):
     assert_same(*found, whole)
     assert whole.updates is not None
     assert_array_equal(whole.updates.pi, [x for x in pi if np.isfinite(x)])
+    return whole, np.array(pi)
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize("persistent", [None, LASTING], ids=["plain", "persistent"])
+def test_coverage(walk, log, measured, persistent, iterations):
+    rows, v_I, epsilon, _ = measured
+    check_coverage(walk, log, rows, v_I, epsilon, persistent, iterations)
 
 
 def test_coverage_without_outliers(walk, log, measured):
     """One is left out of its window, which then ends one measurement later."""
-    t, gyro, accel = log
     rows, v_I, epsilon, _ = measured
     v_I = v_I.copy()
     v_I[10::40, 1] += 40.0
-    start = walk[0].start()
-    one, pi = filter_of(*start, persistent=LASTING), []
-
-    def at_row(k):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-        for m in np.flatnonzero(rows == k):
-            pi.append(one.update_coverage(v_I[m], epsilon[m], 0.8))
-
-    found = stream(one, log, at_row)
-    options = {"stride": STRIDE, "persistent": LASTING}
-    whole = run_coverage(t, gyro, accel, rows, v_I, epsilon, 0.8, *start, **options)
-    assert_same(*found, whole)
+    whole, pi = check_coverage(walk, log, rows, v_I, epsilon, LASTING)
     number = np.arange(len(rows))
     keep = (number % 40 != 10) & (number % 29 != 0)
     assert np.isfinite(pi).sum() == keep.sum() // LASTING.window
-    kept = rows[keep], v_I[keep], epsilon[keep]
-    without = run_coverage(t, gyro, accel, *kept, 0.8, *start, **options)
+    without, _ = check_coverage(walk, log, rows[keep], v_I[keep], epsilon[keep], LASTING)
     assert_array_equal(whole.p_GI, without.p_GI)
 
 
@@ -124,31 +117,24 @@ def test_velocity(walk, log, measured, persistent):
     t, gyro, accel = log
     rows, v_I, _, cov = measured
     start = walk[0].start()
-    one = filter_of(*start, persistent=persistent)
+    one = InvariantFilter(*start, persistent=persistent)
 
-    def at_row(k):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
+    def update(k):
         for m in np.flatnonzero(rows == k):
             one.update_velocity(v_I[m], cov[m])
 
-    found = stream(one, log, at_row)
-    assert_same(
-        *found,
-        run_velocity(t, gyro, accel, rows, v_I, cov, *start, stride=STRIDE, persistent=persistent),
+    found = stream(one, log, update)
+    whole = run_velocity(
+        t, gyro, accel, rows, v_I, cov, *start, stride=STRIDE, persistent=persistent
     )
+    assert_same(*found, whole)
 
 
 def test_imu(walk, log):
     t, gyro, accel = log
     start = walk[0].start()
-    one = InvariantFilter(*start)
-
-    def at_row(k):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-
-    assert_same(*stream(one, log, at_row), run_imu(t, gyro, accel, *start, stride=STRIDE))
+    whole = run_imu(t, gyro, accel, *start, stride=STRIDE)
+    assert_same(*stream(InvariantFilter(*start), log), whole)
 
 
 @pytest.mark.parametrize("gate", [None, 16.27])
@@ -169,15 +155,13 @@ def test_leg(walk, log, measured, radius, gate):
     start = motion_.start()
     one = LegFilter(*start, foot_radius=radius, slip_gate=gate)
 
-    def at_row(k):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1], rates_I[k])
+    def update(k):
         one.update_contacts(feet_I[k], contact[k], cov[k])
         assert set(one.contacts) <= set(np.flatnonzero(contact[k]))
         for m in np.flatnonzero(rows == k):
             one.update_velocity(v_I[m], v_cov[m])
 
-    found = stream(one, log, at_row)
+    found = stream(one, log, update, rates_I)
     whole = run_leg(
         t, gyro, accel, feet_I, contact, cov, *start, foot_radius=radius, foot_rates_I=rates_I,
         slip_gate=gate, stride=STRIDE, rows=rows, v_I=v_I, v_cov=v_cov,

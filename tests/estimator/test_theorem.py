@@ -2,23 +2,16 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy.optimize import minimize
-from whole_runs import run_coverage
+from theorem import posterior
 
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.state import NavState
 from surefoot.estimator.filter import InvariantFilter
-from surefoot.estimator.updates.coverage import posterior_moments, update_coverage
+from surefoot.estimator.updates.coverage import update_coverage
 from surefoot.estimator.updates.velocity import velocity_memory
 from surefoot.sim.common.errors import SurefootError
-
-
-def posterior(mean, cov, lower, upper, gamma):
-    out_mean, out_cov = np.empty(3), np.empty((3, 3))
-    mean, cov, lower, upper = (np.array(x, dtype=float) for x in (mean, cov, lower, upper))
-    pi = posterior_moments(mean, cov, lower, upper, gamma, out_mean, out_cov)
-    return pi, out_mean, out_cov
 
 
 def quadrature(edges, order=12):
@@ -234,29 +227,6 @@ def test_iterations_lead_towards_gamma():
         masses.append(mass_inside(one, v_I, epsilon))
     assert np.all(np.diff(masses) > 0)
     assert masses[-1] == pytest.approx(0.8, abs=1e-3)
-
-
-def test_one_iteration_is_the_paper_and_runs_agree_with_calls():
-    first, P, v_I, epsilon = filters()
-    second = InvariantFilter(NavState(), P)
-    first.update_coverage(v_I, epsilon, 0.8)
-    second.update_coverage(v_I, epsilon, 0.8, iterations=1)
-    assert_array_equal(first.covariance, second.covariance)
-    rng = np.random.default_rng(0)
-    t, rows = np.arange(40) * 0.01, np.arange(0, 40, 2)
-    gyro, accel = 0.1 * rng.normal(size=(40, 3)), rng.normal(size=(40, 3))
-    accel[:, 2] += 9.81
-    v = 0.2 * rng.normal(size=(20, 3))
-    whole = run_coverage(t, gyro, accel, rows, v, epsilon, 0.8, NavState(), P, iterations=4)
-    one = InvariantFilter(NavState(), P)
-    for k in range(40):
-        if k:
-            one.predict(gyro[k], accel[k], t[k] - t[k - 1])
-        if k % 2 == 0:
-            one.update_coverage(v[k // 2], epsilon, 0.8, iterations=4)
-    assert whole.covariance is not None
-    assert_array_equal(one.covariance, whole.covariance[-1])
-    assert_array_equal(one.state.p_GI, whole.p_GI[-1])
 
 
 def test_iterations_stay_finite_on_far_boxes():

@@ -20,8 +20,7 @@ from surefoot.estimator.initial import (
     start_covariance,
     still_gyro_bias,
 )
-from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.log import Log, Meta
+from surefoot.sim.log import Log
 
 
 @pytest.fixture(scope="module")
@@ -32,25 +31,6 @@ def estimate():
         walk.t, walk.gyro, walk.accel, rows, walk.v_I[rows] + 0.05, np.full(3, 0.1), 0.8,
         *walk.start(),
     )  # fmt: skip
-
-
-def log(walk, reference=True) -> Log:
-    columns = {"t": walk.t}
-    for name, values, axes in (
-        ("gyro", walk.gyro, "xyz"),
-        ("accel", walk.accel, "xyz"),
-        *(
-            [
-                ("ref_p", walk.p, "xyz"),
-                ("ref_q", quaternion_from_matrix(walk.R), "wxyz"),
-                ("ref_v", walk.v, "xyz"),
-            ]
-            if reference
-            else []
-        ),
-    ):
-        columns |= {f"{name}_{axis}": values[:, i] for i, axis in enumerate(axes)}
-    return Log(pd.DataFrame(columns), Meta(rate=500.0))
 
 
 def test_parquet_returns_what_was_written(estimate, tmp_path):
@@ -99,7 +79,7 @@ def test_bad_files_are_one_clear_line(estimate, tmp_path):
 
 def test_reference_is_cut_to_ref_ok():
     walk = motion(1.0, 500.0)
-    whole = log(walk)
+    whole = walk.log()
     ok = np.ones(len(walk.t))
     ok[100:200] = 0
     cut = reference(Log(whole.frame.assign(ref_ok=ok), whole.meta))
@@ -110,7 +90,7 @@ def test_reference_is_cut_to_ref_ok():
 
 def test_start_is_the_references_first_row():
     walk = motion(1.0, 500.0)
-    state, std = initial_state(log(walk))
+    state, std = initial_state(walk.log())
     covariance = start_covariance(state, std)
     assert_allclose(state.R_GI, walk.R[0], atol=1e-12)
     assert_allclose(state.p_GI, walk.p[0])
@@ -125,44 +105,38 @@ def test_start_without_a_reference_is_gravity():
     walk = motion(1.0, 500.0)
     R = Rotation.from_euler("ZYX", [0.0, 0.2, -0.3]).as_matrix()
     still = np.tile(R.T @ [0, 0, 9.81], (len(walk.t), 1))
-    bare = log(walk, reference=False)
-    frame = bare.frame.assign(**{f"accel_{a}": still[:, i] for i, a in enumerate("xyz")})
-    state, std = initial_state(Log(frame, bare.meta), "rest")
+    state, std = initial_state(walk.log(accel=still), "rest")
     assert_allclose(state.R_GI, R, atol=1e-12)
     assert_allclose(state.v_GI, 0)
     assert std.tilt == GRAVITY_STD.tilt
-    falling = frame.assign(accel_x=0.0, accel_y=0.0, accel_z=0.1)
-    refused("gravity is unknown", initial_state, Log(falling, bare.meta), "rest")
-    refused("gravity is unknown", initial_state, Log(falling, bare.meta), "moving")
+    falling = walk.log(accel=np.tile([0.0, 0.0, 0.1], (len(walk.t), 1)))
+    for start in ("rest", "moving"):
+        refused("gravity is unknown", initial_state, falling, start)
 
 
 @pytest.mark.parametrize(("shaken", "known"), [(0.01, True), (0.1, False)])
 def test_a_gyro_bias_is_read_where_the_log_starts_still(shaken, known):
     """With 0.1 rad/s of shaking it is none that a standing robot has, though no force says so."""
     walk, bias = motion(1.0, 500.0), np.array([0.02, -0.01, 0.005])
-    bare, rng = log(walk), np.random.default_rng(4)
-    gyro = bias + shaken * rng.normal(size=walk.gyro.shape)
+    gyro = bias + shaken * np.random.default_rng(4).normal(size=walk.gyro.shape)
     still = np.tile([0.0, 0.0, 9.81], (len(walk.t), 1))
-    frame = bare.frame.assign(**{f"gyro_{a}": gyro[:, i] for i, a in enumerate("xyz")})
-    frame = frame.assign(**{f"accel_{a}": still[:, i] for i, a in enumerate("xyz")})
-    found, std = still_gyro_bias(Log(frame, bare.meta), GRAVITY_STD)
+    found, std = still_gyro_bias(walk.log(gyro, still), GRAVITY_STD)
     assert_allclose(found, known * bias, atol=3e-3 * known)
     assert (std.b_g < GRAVITY_STD.b_g) == known
 
 
 def test_a_bias_read_at_rest_is_as_sure_as_its_independent_readings():
     """50 a second, for half a second: the largest axis' spread, of however many rows."""
-    bare = log(motion(1.0, 500.0))
-    turns = 0.01 * (-1.0) ** np.arange(len(bare.t))
-    still = {f"accel_{a}": 0.0 * turns + 9.81 * (a == "z") for a in "xyz"}
-    gyro = {f"gyro_{a}": size * turns for a, size in zip("xyz", (1.0, 0.5, 0.0), strict=True)}
-    _, std = still_gyro_bias(Log(bare.frame.assign(**still, **gyro), bare.meta), GRAVITY_STD)
+    walk = motion(1.0, 500.0)
+    turns = 0.01 * (-1.0) ** np.arange(len(walk.t))
+    still = np.tile([0.0, 0.0, 9.81], (len(walk.t), 1))
+    _, std = still_gyro_bias(walk.log(np.outer(turns, [1.0, 0.5, 0.0]), still), GRAVITY_STD)
     assert std.b_g == pytest.approx(0.01 / np.sqrt(25.0), rel=0.01)
 
 
 def test_a_single_reading_of_a_slow_log_gives_no_bias():
     """At 1 Hz the first half second has one row, whose two halves nobody can compare."""
-    slow = log(motion(3.0, 500.0)).rows(slice(None, None, 500))
+    slow = motion(3.0, 500.0).log().rows(slice(None, None, 500))
     found, std = still_gyro_bias(slow, GRAVITY_STD)
     assert slow.gyro[0].any()
     assert not found.any()

@@ -6,6 +6,7 @@ import pytest
 import torch
 from synthetic import Body, synthetic_walk
 
+from surefoot.models.calibration.calibrate import calibrate
 from surefoot.models.observer.settings import TrainSettings
 from surefoot.models.observer.training import train
 
@@ -34,3 +35,8 @@ def mse_observer(walks):
 @pytest.fixture(scope="session")
 def gml_observer(walks):
     return train(walks["fit"], Body(), replace(QUICK, inputs=("q", "dq"), loss="gml", seed=1))
+
+
+@pytest.fixture(scope="session")
+def bounds(mse_observer, walks):
+    return calibrate(mse_observer, walks["calibrate"], robot=Body())

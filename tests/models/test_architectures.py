@@ -67,15 +67,8 @@ def test_both_ways_is_torchs_bidirectional_gru():
         layer.load_state_dict(
             {name: theirs.state_dict()[name + suffix] for name in layer.state_dict()}
         )
-    x, weight = torch.randn(40, 3, 7), torch.randn(40, 3, 20)
-    expected, found = theirs(x)[0], ours(x)
-    torch.testing.assert_close(found, expected, rtol=2e-5, atol=2e-5)
-    (found * weight).sum().backward()
-    (expected * weight).sum().backward()
-    for layer, suffix in ((ours.forwards, ""), (ours.backwards, "_reverse")):
-        for name, p in layer.named_parameters():
-            grad = dict(theirs.named_parameters())[name + suffix].grad
-            torch.testing.assert_close(p.grad, grad, rtol=2e-4, atol=2e-4)
+    x = torch.randn(40, 3, 7)
+    torch.testing.assert_close(ours(x), theirs(x)[0], rtol=2e-5, atol=2e-5)
 
 
 @pytest.mark.parametrize("model", [m for m in MODELS if m != "gru"])
@@ -106,11 +99,6 @@ def test_an_unknown_model_is_refused(walks, mse_observer, tmp_path):
     replace(mse_observer, model="lstm").save(tmp_path / "o.safetensors")
     with pytest.raises(ObserverError, match="not a whole"):
         Observer.load(tmp_path / "o.safetensors")
-
-
-def test_training_errors_are_kept_with_the_observer(mse_observer, walks):
-    _, errors = prediction_errors(mse_observer, walks["fit"], Body())
-    assert mse_observer.errors == pytest.approx(errors, abs=1e-6)
 
 
 def test_of_many_training_errors_every_nth_is_kept(walks, monkeypatch):

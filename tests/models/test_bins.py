@@ -8,16 +8,14 @@ import pandas as pd
 import pytest
 from synthetic import synthetic_walk
 
-from surefoot.models.residuals import contact_timing, feet
+from surefoot.models.residuals import feet
 from surefoot.models.residuals.binning import BIN, angles_are_quieter, mean_rate_of_change
 from surefoot.models.residuals.channels import CHANNELS, STANCE_BINS, CommandedTorque
-from surefoot.models.residuals.contact_timing import near_changes
 from surefoot.models.residuals.feet import level_ground
 from surefoot.models.residuals.torques import dynamics_inputs
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import GivenFeet
-from surefoot.sim.sensors.stances import changes as changes_of
 from surefoot.sim.sensors.streams import Sensors
 
 RATE = 500.0
@@ -63,48 +61,6 @@ def test_noise_is_that_of_means_of_rows():
     assert stance == pytest.approx(noise["leg_velocity"][0] / np.sqrt(STANCE_BINS))
     moved = CHANNELS["stance_displacement"]().noise(sensors, 500.0, 0.0)
     assert moved == pytest.approx(stance * STANCE_BINS * BIN)
-
-
-def test_rows_near_a_change_are_those_within_so_many():
-    changes = [np.array([0, 50]), np.array([199])]
-    stands = np.zeros((200, 2), dtype=bool)
-    stands[50:, 0] = True  # lifts at 0, lands at 50
-    near = near_changes(changes, stands, 3, 3)
-    # A change lies between a row and the one before it.
-    assert np.flatnonzero(near[:, 0]).tolist() == [*range(4), *range(46, 54)]
-    assert np.flatnonzero(near[:, 1]).tolist() == [*range(195, 200)]
-    near = near_changes(changes, stands, 3, 1)
-    assert np.flatnonzero(near[:, 0]).tolist() == [*range(4), *range(46, 52)]
-    assert np.flatnonzero(near[:, 1]).tolist() == [*range(197, 200)]
-
-
-def test_a_foot_that_stops_late_is_searched_for_further_into_its_stance(monkeypatch):
-    """Of three touchdowns the second ends 30 rows late, and the third runs into rows without a
-    reference."""
-    speed, ok = np.full((600, 1), 0.01), np.ones(600, dtype=bool)
-    stands = np.ones((600, 1), dtype=bool)
-    for land, late in ((200, 0), (350, 30), (500, 30)):
-        stands[land - 100 : land] = False
-        speed[land - 100 : land + late] = 1.0
-    ok[510:] = False
-    asked = []
-
-    def speeds(log, robot, motion, where):
-        asked.append(int(where.sum()))
-        return np.stack(2 * [np.where(where, speed, np.nan)])
-
-    monkeypatch.setattr(contact_timing, "speeds_over_ground", speeds)
-    log: Any = SimpleNamespace(t=np.arange(600) / 500.0, contact=stands, rate=500.0)
-    motion: Any = SimpleNamespace(ok=ok)
-    turn = changes_of(stands[:, 0])
-    ((_, found),) = contact_timing._all_motion_changes(log, log, motion)
-    every = np.where(ok[:, None], speed, np.nan)[:, 0]
-    direct = contact_timing.motion_changes(log.t, stands[:, 0], every, every, turn, 40, 5, 5)
-    for own, other in zip(found, direct, strict=True):
-        np.testing.assert_array_equal(own, other)
-    assert found[1][3] == pytest.approx((350 + 30) / 500.0, abs=2e-3)
-    assert np.isnan(found[1][5])
-    assert asked[1] < asked[0] < ok.sum()
 
 
 @pytest.mark.parametrize(("height", "level"), [(0.0057, True), (0.0063, False)])

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom, binomtest
+from scipy.stats import binomtest
 from synthetic import Body, synthetic_walk
 
-from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.calibrate import (
     calibrate,
     left_out_coverage,
@@ -72,20 +71,6 @@ def test_rank_is_exact_where_the_product_is_whole(n, tenths):
     assert rank(n, tenths / 10) == -(-(n + 1) * tenths // 10)
 
 
-def test_exchangeable_errors_are_covered_as_promised():
-    """Each axis at its level, and independent axes jointly at gamma, over many calibrations."""
-    rng = np.random.default_rng(0)
-    gamma, n, trials = 0.8, 120, 3000
-    level = level_per_axis(gamma)
-    scores = np.abs(rng.standard_cauchy((trials, n + 1, 3)))
-    inside = np.array([s[n] <= conformal_quantile(s[:n], level) for s in scores])
-    expected = rank(n, level) / (n + 1)
-    low, high = binom.interval(0.999, trials, expected)
-    assert np.all((inside.sum(axis=0) >= low) & (inside.sum(axis=0) <= high))
-    low, high = binom.interval(0.999, trials, expected**3)
-    assert low <= inside.all(axis=1).sum() <= high
-
-
 def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
     bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(gamma=0.8, K=20), Body())
     assert (bounds.K, bounds.n, bounds.mixing) == (20, 300, None)
@@ -97,8 +82,7 @@ def test_calibration_covers_a_walk_not_seen(mse_observer, walks):
     assert min(highest) > bounds.level_per_axis - 0.05
 
 
-def test_the_spacing_comes_from_the_mixing_curve(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
+def test_the_spacing_comes_from_the_mixing_curve(bounds):
     assert bounds.mixing is not None
     assert bounds.K == bounds.mixing.K
     assert bounds.n == 6000 // bounds.K
@@ -153,21 +137,7 @@ def test_errors_are_at_least_a_step_apart(mse_observer, walks, K):
         calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=K), Body())
 
 
-def test_bounds_come_back_whole(mse_observer, walks, tmp_path):
-    bounds = calibrate(mse_observer, walks["calibrate"], robot=Body())
-    path = tmp_path / "bounds.json"
-    bounds.save(path)
-    loaded = Bounds.load(path)
-    assert loaded.mixing is not None
-    assert bounds.mixing is not None
-    assert np.array_equal(loaded.epsilon, bounds.epsilon)
-    assert np.array_equal(loaded.mixing.beta, bounds.mixing.beta)
-    assert (loaded.gamma, loaded.K, loaded.n) == (bounds.gamma, bounds.K, bounds.n)
-    assert loaded.observer == mse_observer.hash
-
-
-def test_a_turned_box_still_holds_all_it_held(mse_observer, walks):
-    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
+def test_a_turned_box_still_holds_all_it_held(bounds):
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T * bounds.epsilon
     R = Rotation.from_euler("xyz", [0.4, 0.2, -1.0]).as_matrix()
     # A corner touches each side: no smaller box along the new axes would do.
@@ -231,7 +201,7 @@ def test_intervals_are_those_of_scipy(hits, n):
     assert binomial_interval(hits / n, n) == pytest.approx([theirs.low, theirs.high], abs=1e-9)
 
 
-def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
+def test_coverage_is_split_by_what_the_log_tells(bounds, walks):
     """Errors that leave the bounds in one known case alone are laid to that case."""
     log = walks["test"]
     frame = log.frame.copy()
@@ -244,7 +214,7 @@ def test_coverage_is_split_by_what_the_log_tells(mse_observer, walks):
     frame["ref_p_z"], frame["ref_p_x"], frame["ref_p_y"] = height, t, 0.0
     marked = replace(log, frame=frame)
     rows = np.arange(0, n, 5)
-    bounds = calibrate(mse_observer, walks["calibrate"], CalibrateSettings(K=20), Body())
+    bounds = replace(bounds, K=20)
     errors = np.zeros((len(rows), 3))
     slips = (t[rows] > 20) & (t[rows] < 30)
     errors[slips, 0] = 2 * bounds.epsilon[0]

@@ -41,8 +41,8 @@ SPOT = Robot.load("spot_class")
 SCENARIO = Scenario("short", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
 
 
-def case_with(*effects, seed=3):
-    return log_under_model(walk(SCENARIO, SPOT, seed, effects, declared=False), SPOT)
+def case_with(*effects, seed=3, course=SCENARIO):
+    return log_under_model(walk(course, SPOT, seed, effects, declared=False), SPOT)
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +50,9 @@ def floor():
     return noise_floor([case_with()])
 
 
-def explained(case, floor):
-    return explained_together([case], floor, several=False)
-
-
-def explained_together(cases, floor, several=True):
-    problem = problem_of(cases, split_of(cases).fit, several)
+def explained(cases, floor):
+    cases = cases if isinstance(cases, list) else [cases]
+    problem = problem_of(cases, split_of(cases).fit, several=len(cases) > 1)
     return explain(
         problem,
         floor.error,
@@ -136,7 +133,7 @@ def test_zeros_of_each_log_are_no_effects(floor):
         case_with(effect("encoder_offset", "FL_thigh", zero), seed=k)
         for k, zero in enumerate(zeros)
     ]
-    found = explained_together(cases, floor)
+    found = explained(cases, floor)
     assert not found.found
     alone = problem_of(cases[:1], np.ones(len(cases[0].motion.t), bool), several=True)
     runs, _ = zeros_beside(alone, floor.error, ())
@@ -150,7 +147,7 @@ def test_zeros_of_each_log_are_no_effects(floor):
 @pytest.mark.long
 def test_zeros_that_logs_seemed_to_have_vanish_with_the_effect_that_they_lacked(floor):
     longer = effect("link_length", "FR_calf", 0.006)
-    found = explained_together([case_with(longer, seed=seed) for seed in (3, 4)], floor)
+    found = explained([case_with(longer, seed=seed) for seed in (3, 4)], floor)
     assert names(found) == [("link_length", "FR_calf")]
     assert not any(run.compensated for run in found.runs)
 
@@ -171,21 +168,12 @@ def test_shocks_of_the_imu_and_of_torques_lose_weight_and_nothing_else_does(floo
     assert weight[:, 3:6].min() < 0.02
 
 
-ROBOT = Robot.load("spot_class")
-
-
 COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), Ground(0.8))
 
 
 def found(one):
-    case = log_under_model(walk(COURSE, ROBOT, 3, [one], declared=False), ROBOT)
-    floor = noise_floor([case])
-    problem = problem_of([case], split_of([case]).fit, several=False)
-    result = explain(
-        problem,
-        floor.error,
-        lambda e, keys: left_deviations(floor, noise_floor_with(floor, e), keys),
-    )
+    case = case_with(one, course=COURSE)
+    result = explained(case, noise_floor([case]))
     return result, curved_angles(result, [case])
 
 
@@ -210,7 +198,7 @@ def test_what_the_catalogue_has_is_no_curve(name, size):
 
 
 def test_bends_leave_out_what_an_offset_and_a_scale_can_do():
-    log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), ROBOT, 3)
+    log = walk(replace(COURSE, segments=(Segment(1.0, 0.5),)), SPOT, 3)
     q = log.frame["q_FL_thigh"].to_numpy()
     even = np.linspace(q.min(), q.max(), 2001)
     for change in [*angle_curves(log, "FL_thigh").values()][:5]:
@@ -224,8 +212,7 @@ TRUTH = effect("imu_position", "x", 0.04)
 
 @pytest.fixture(scope="module")
 def case():
-    course = Scenario("harm", (Segment(12.0, 0.6, 0.1, 0.3),), Ground(0.8))
-    return log_under_model(walk(course, ROBOT, 3, (TRUTH,), declared=False), ROBOT)
+    return case_with(TRUTH)
 
 
 @pytest.fixture(scope="module")

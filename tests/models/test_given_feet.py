@@ -159,15 +159,6 @@ def test_late_joints_make_feet_late(feet):
     np.testing.assert_allclose(fixed.foot_I[:-rows], feet.foot_I[rows:], atol=1e-9)
 
 
-@pytest.mark.parametrize("level", [True, False])
-def test_only_heights_need_level_ground(level):
-    t = 0.01 * np.arange(100)
-    names = [*GROUPS["reference"], "q_knee", "contact_left", "gyro_x", "gyro_y", "gyro_z"]
-    log = Log(pd.DataFrame({"t": t, **dict.fromkeys(names, 1.0)}), Meta(rate=100.0), "any")
-    there = [n for n in ("leg_velocity", "foot_height") if available(n, log, level)]
-    assert there == ["leg_velocity", "foot_height"][: 1 + level]
-
-
 def test_derived_velocities_are_no_reference_of_an_accelerometer_by_feet_alone():
     t, readings = np.arange(9.0), [*GROUPS["imu"], *GROUPS["reference"]]
     log, accel = Log(pd.DataFrame({"t": t}), Meta(rate=1.0), "any"), channels()["imu_accel"]
@@ -187,7 +178,3 @@ def test_what_a_channel_lacks_of_a_walk_is_named(lacks, named):
     frame = pd.DataFrame({"t": np.arange(9.0), **dict.fromkeys(names, 1.0)})
     log = Log(frame, Meta(rate=1.0), "any")
     assert channels()["leg_velocity"].missing_groups(log, fixed=False) == (named,)
-
-
-def available(name, log, level):
-    return channels()[name].is_available(log, fixed=False, level=level)

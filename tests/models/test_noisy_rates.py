@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from pendulum import swung
+from slopes import apart, regressor_of, slope_of, step_of
 
 from surefoot.models.attribution.evidence import (
-    _Linear,
     all_keys,
     linearise,
     log_under_model,
@@ -16,7 +16,6 @@ from surefoot.models.attribution.model_error import OF_MEAN, at_middles
 from surefoot.models.attribution.sensor_noise import reading_noise
 from surefoot.models.attribution.weights import robust_weights
 from surefoot.models.residuals.layout import layout_for
-from surefoot.sim.effects import effect
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.robot.machine import load_machine
 
@@ -52,15 +51,9 @@ def test_angles_serve_where_rates_are_noisier_and_nowhere_else():
 def test_regressors_are_the_slopes_of_the_residual(name):
     case = log_under_model(swinging(1.0), PENDULUM)
     key = next(key for key in all_keys(case) if key[0] == name)
-    step = 1e-2 * type(effect(*key, 0.0)).traced_at(key[1]).step
-    table = table_of(case, ())
-    slope = np.nan_to_num(table - table_of(case, [effect(*key, step)])) / step
-    one = _Linear(case, ()).regressor(key)
-    whole = np.zeros_like(table)
-    whole[:, one.columns] = one.values
+    slope = slope_of(case, key, step_of(key))
     torque = layout_for(PENDULUM.limbs).of("joint_torque")
-    apart = np.linalg.norm(whole[:, torque] - slope[:, torque])
-    assert apart < 0.03 * np.linalg.norm(slope[:, torque])
+    assert apart(regressor_of(case, key, slope), slope, torque) < 0.03
 
 
 def test_the_floor_of_readings_is_what_their_noise_leaves():

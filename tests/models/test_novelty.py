@@ -61,15 +61,6 @@ def test_walks_in_which_no_feature_moves_tell_nothing():
     assert training_states([np.ones((8, 3))] * FEWEST_WALKS) == {}
 
 
-def test_blocks_are_means_and_deviations():
-    x = np.random.default_rng(2).normal(size=(2 * BLOCK + 7, 2))
-    found = blocks_of(x)
-    assert found.shape == (2, 4)
-    assert found[1] == pytest.approx(
-        np.r_[x[BLOCK : 2 * BLOCK].mean(axis=0), x[BLOCK : 2 * BLOCK].std(axis=0)]
-    )
-
-
 def test_pieces_have_the_distances_of_the_whole():
     rng = np.random.default_rng(3)
     known = training_states(drawn(rng, FEWEST_WALKS, width=4))

@@ -72,17 +72,6 @@ def test_soles_are_mujocos(robot, drawing):
             assert found[k, 12 + 3 * leg : 15 + 3 * leg] == pytest.approx(velocity, abs=1e-9)
 
 
-def test_soles_of_a_point_foot_are_the_leg_filters_feet(drawing):
-    robot = turned()
-    points = drawing | {"radius": np.zeros(4)}
-    rng = np.random.default_rng(1)
-    q, dq = ROBOT.q_home + 0.2 * rng.standard_normal((9, 12)), rng.standard_normal((9, 12))
-    found, h = contact_points(Kinematics.of(points, robot), q, dq, np.zeros((9, 3))), 1e-6
-    assert found[:, :12].reshape(9, 4, 3) == pytest.approx(robot.feet_I(q), abs=1e-12)
-    slope = (robot.feet_I(q + h * dq) - robot.feet_I(q - h * dq)) / (2 * h)
-    assert found[:, 12:].reshape(9, 4, 3) == pytest.approx(slope, abs=1e-7)
-
-
 def test_a_foot_at_rest_says_how_the_imu_moves_while_the_base_turns(log, drawing):
     """On a simulated walk with turns: with the lever arm, standing feet say the true velocity."""
     known, true = Kinematics.of(drawing, ROBOT), body_velocity(log, np.arange(len(log.t)))[0]

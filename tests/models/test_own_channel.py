@@ -133,8 +133,3 @@ def test_a_column_is_a_group_of_a_log_by_itself():
     assert not log.has("x_temperature")
     with pytest.raises(LogError, match=r"lacks x_temperature"):
         log.require("x_temperature")
-
-
-def test_events_alone_stay_where_a_body_changes():
-    of_events = {name for name, one in channels().items() if one.of_events}
-    assert of_events == {"stance_displacement", "contact_timing"}

@@ -122,26 +122,6 @@ def test_errors_that_remember_are_held_as_promised(method, process):
     assert binom.ppf(0.0005, TRIALS, lowest) <= found <= binom.ppf(0.9995, TRIALS, highest)
 
 
-def test_neighbours_are_no_independent_samples():
-    """Taken one after another, errors that remember make bounds that scatter more than they may.
-
-    Of N independent errors the level held is a beta law; a tenth of it lies below its own decile.
-    """
-    rng, n, level = np.random.default_rng(4), 120, 0.9
-    from scipy.stats import beta, norm
-
-    decile = beta(rank(n, level), n + 1 - rank(n, level)).ppf(0.1)
-    below = {}
-    for K in (1, 20):
-        held = []
-        for _ in range(400):
-            e = np.abs(autoregression(rng, n * K)[K - 1 :: K, 0]) * np.sqrt(1 - 0.9**2)
-            held.append(2 * norm.cdf(np.sort(e)[rank(n, level) - 1]) - 1)
-        below[K] = float(np.mean(np.array(held) < decile))
-    assert below[20] < 0.16
-    assert below[1] > 0.25
-
-
 def test_which_way_the_product_of_levels_errs():
     """gamma^(1/3) an axis: exact for independent axes, too much for axes that err together, and
     too little for axes of which one errs just when the others do not."""

@@ -3,21 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
+from own_package import found
+from slopes import apart, regressor_of, slope_of, step_of, written_out
 
 from surefoot.models.attribution.evidence import (
     _Linear,
     all_keys,
     linearise,
     log_under_model,
-    table_of,
 )
 from surefoot.models.residuals.layout import layout_for
-from surefoot.sim.effects import CATALOGUE, add, effect
-from surefoot.sim.effects.base import Effect, Traced, with_columns
+from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.ground.terrain import Ground
-from surefoot.sim.log import JOINTS, LEGS, Log, Meta
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import QUADRUPED
 from surefoot.sim.scenario import Scenario, Segment
@@ -45,52 +43,9 @@ KEYS = [
 ]
 
 
-def still_feet(seconds=1.0, rate=200.0):
-    """Readings of a body that turns and sways over feet that all stand, without a simulation."""
-    t = np.arange(round(seconds * rate)) / rate
-    sway = 0.05 * np.sin(2.0 * np.pi * np.outer(t, 0.5 + 0.1 * np.arange(len(JOINTS))))
-    angles = SPOT.q_home + sway
-    columns = {"t": t, **dict(zip([f"q_{joint}" for joint in JOINTS], angles.T, strict=True))}
-    columns |= {f"dq_{joint}": np.gradient(x, t) for joint, x in zip(JOINTS, angles.T, strict=True)}
-    for axis, gyro in zip("xyz", (0.2, -0.3, 0.5), strict=True):
-        columns |= {f"gyro_{axis}": gyro + 0.0 * t, f"accel_{axis}": 9.81 * (axis == "z") + 0.0 * t}
-        columns |= {f"ref_p_{axis}": 0.3 * (axis == "z") + 0.0 * t, f"ref_v_{axis}": 0.0 * t}
-    columns |= {f"ref_q_{part}": (part == "w") + 0.0 * t for part in "wxyz"}
-    columns |= {f"contact_{leg}": np.ones(len(t)) for leg in LEGS}
-    return Log(pd.DataFrame(columns), Meta(rate=rate, robot="spot_class"), "still_feet")
-
-
-@pytest.mark.parametrize(
-    "key", [("encoder_offset", "RL_thigh"), ("encoder_scale", "FR_calf"), ("gyro_bias", "y")]
-)
-def test_the_chain_rule_by_joints_and_gyro_without_a_walk(key):
-    case = log_under_model(still_feet(), SPOT)
-    slope = slope_of(case, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(case, ()).regressor(key), slope)
-    layout = layout_for(QUADRUPED)
-    assert slope[:, layout.of("leg_velocity")].any()
-    for name in ("leg_velocity", "foot_height"):
-        columns = layout.channels[name]
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.02 * np.linalg.norm(slope[:, columns])
-
-
 @pytest.fixture(scope="module")
 def case():
     return log_under_model(walk(SCENARIO, SPOT, 7), SPOT)
-
-
-def slope_of(case, key, step):
-    """What a unit of the effect adds to the table, by the residual itself."""
-    table = table_of(case, ())
-    slope = (table - table_of(case, [effect(key[0], key[1], step)])) / step
-    return np.nan_to_num(np.where(np.isfinite(table), slope, 0.0))
-
-
-def written_out(one, like):
-    whole = np.zeros_like(like)
-    whole[:, one.columns] = one.values
-    return whole
 
 
 @pytest.mark.parametrize("key", KEYS, ids=" ".join)
@@ -100,14 +55,14 @@ def test_a_regressor_by_the_chain_rule_is_the_slope_of_the_residual(case, key):
     # A delay is not linear over its step, which is longer than a row of the log.
     step = kind.traced_at(key[1]).step * (1.0 if kind.unit == "s" else 1e-2)
     slope = slope_of(case, key, step)
-    whole = written_out(_Linear(case, ()).regressor(key), slope)
+    whole = regressor_of(case, key, slope)
     for name, columns in layout_for(QUADRUPED).channels.items():
         # What is left of two changes that cancel; and when feet move, which is for delays to say.
         if name in ("joint_rate", "contact_timing", "stance_displacement"):
             continue
         # Products of means over a bin are not quite the means of products.
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
+        off = np.linalg.norm(whole[:, columns] - slope[:, columns])
+        assert off <= 0.03 * np.linalg.norm(slope[:, columns]) + 1e-6 * np.linalg.norm(slope)
 
 
 def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
@@ -115,7 +70,7 @@ def test_ground_that_slopes_does_so_still_where_the_reference_is_moved(case):
     sloping = replace(case, motion=replace(case.motion, normal_G=normal))
     key = ("reference_delay", "all")
     slope = slope_of(sloping, key, CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(sloping, ()).regressor(key), slope)
+    whole = regressor_of(sloping, key, slope)
     columns = layout_for(QUADRUPED).of("leg_velocity")
     np.testing.assert_allclose(whole[:, columns], slope[:, columns], atol=1e-9)
 
@@ -139,11 +94,11 @@ def test_what_is_not_computed_again_is_the_same(case, key):
         timing = layout_for(QUADRUPED).of("contact_timing")
         slopes = [np.where(np.isin(np.arange(x.shape[1]), timing), x, 0.0) for x in slopes]
     fitted = layout_for(QUADRUPED).fitted
-    apart = [
+    gaps = [
         np.abs(written_out(found, x) - x)[:, fitted].max() / np.abs(x[:, fitted]).max()
         for x in slopes
     ]
-    assert min(apart) < 1e-9
+    assert min(gaps) < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -153,42 +108,24 @@ def test_rates_that_were_not_logged_change_with_the_angles(case, key):
     log = case.log
     names = [name for name in log.frame if str(name).startswith(("dq_", "tau_"))]
     without = log_under_model(replace(log, frame=log.frame.drop(columns=names)), SPOT)
-    slope = slope_of(without, key, 1e-2 * CATALOGUE[key[0]].traced_at(key[1]).step)
-    whole = written_out(_Linear(without, ()).regressor(key), slope)
+    slope = slope_of(without, key, step_of(key))
+    whole = regressor_of(without, key, slope)
     for name in ("leg_velocity", "stance_velocity", "foot_height"):
-        columns = layout_for(QUADRUPED).channels[name]
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 0.05 * np.linalg.norm(slope[:, columns])
+        assert apart(whole, slope, layout_for(QUADRUPED).channels[name]) <= 0.05
 
 
-class ThickBoots(Effect):
-    """Boots thicken every foot, and turn one calf's encoder by the angle they were zeroed at."""
-
-    name = "thick_boots"
-    unit = "m"
-    bounds = (-0.02, 0.02)
-    targets = ("all",)
-    traced = Traced(channels=("leg_velocity", "foot_height", "base_wrench"), step=1e-3)
-
-    def compensate(self, log, robot):
-        angle = log.frame["q_FL_calf"].to_numpy() - 3.0 * self.value
-        boots = replace(robot, foot_radius=robot.foot_radius + self.value)
-        return with_columns(log, {"q_FL_calf": angle}), boots
-
-
-def test_an_effect_of_readings_and_of_the_robot_has_the_slope_of_the_residual(case, catalogue):
+def test_an_effect_of_readings_and_of_the_robot_has_the_slope_of_the_residual(case):
     """Its path was guessed by what changed: 126 % wrong on its leg, and zero on foot height."""
-    add(ThickBoots)
-    key = ("thick_boots", "all")
-    slope = slope_of(case, key, 1e-3)
-    data = linearise([case], (), [key])
+    key = ("rubber_boots", "all")
+    with found("own_effect"):
+        slope = slope_of(case, key, 1e-3)
+        data = linearise([case], (), [key])
     whole = written_out(data.X[0], slope)
     layout = data.layout
     leg, height = layout.by_leg("leg_velocity")[0], layout.by_leg("foot_height")[0]
     assert np.linalg.norm(slope[:, height]) > 1.0
     for columns in (leg, height, layout.of("base_wrench")):
-        apart = np.linalg.norm(whole[:, columns] - slope[:, columns])
-        assert apart <= 1e-6 * np.linalg.norm(slope[:, columns])
+        assert apart(whole, slope, columns) <= 1e-6
 
 
 def test_channels_that_no_fit_uses_have_no_regressors(case):

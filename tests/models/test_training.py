@@ -69,31 +69,26 @@ def test_ten_seconds_of_another_machine_tune_an_observer(loss, mse_observer, gml
     refused("trained on analytic", train, short, Body("other"), TINY, start=start)
 
 
-def test_held_out_labels_do_not_matter(walks):
-    """Other labels in the held-out blocks change the score, never a weight."""
-    log = walks["fit"]
-    frame = log.frame.copy()
-    held = np.repeat(validation_rows(len(frame) // 5), 5)
-    frame.loc[held, "ref_v_x"] += 1.0
-    plan = replace(TINY, steps=2, every=2)
+def check_same_weights(ours, theirs):
+    for name, weight in ours.weights.items():
+        assert np.array_equal(weight, theirs.weights[name])
+
+
+@pytest.mark.parametrize("walk", [None, "calibrate"])
+def test_held_out_labels_are_scored_and_not_trained_on(walk, walks):
+    """Of blocks of the log, or of another walk: other ones change the score, never a weight."""
+    fit = walks["fit"]
+    log = walks[walk] if walk else fit
+    labels = np.repeat(validation_rows(len(log.t) // 5), 5) if walk is None else np.ones(len(log.t))
+    other = log.with_columns({"ref_v_x": log.ref_v[:, 0] + labels})
+    plan = replace(TINY, inputs="q", steps=2, every=2)
     ours, theirs = (
-        train(x, Body(), replace(plan, inputs="q")) for x in (log, replace(log, frame=frame))
+        train(iter([fit]), Body(), plan, held_out=[x]) if walk else train(x, Body(), plan)
+        for x in (log, other)
     )
     assert theirs.rmse[0] > ours.rmse[0]
-    for name, weight in ours.weights.items():
-        assert np.array_equal(weight, theirs.weights[name])
-
-
-def test_held_out_walks_are_scored_and_not_trained_on(walks):
-    """Other labels there change the score, never a weight; all rows of the rest are trained on."""
-    fit, held = walks["fit"], walks["calibrate"]
-    other = replace(held, frame=held.frame.assign(ref_v_x=held.frame["ref_v_x"] + 1.0))
-    plan = replace(TINY, inputs="q", steps=2, every=2)
-    ours, theirs = (train(iter([fit]), Body(), plan, held_out=[x]) for x in (held, other))
-    assert theirs.rmse[0] > ours.rmse[0]
-    for name, weight in ours.weights.items():
-        assert np.array_equal(weight, theirs.weights[name])
-    assert [one.name for one in ours.logs] == [fit.name, held.name]
+    check_same_weights(ours, theirs)
+    assert [one.name for one in ours.logs] == ["fit", *([walk] if walk else [])]
 
 
 def test_filtering_the_last_samples_is_filtering_the_log(walks):
@@ -150,13 +145,6 @@ def test_moving_there_and_back_is_staying():
     assert P_back == pytest.approx(P)
 
 
-def test_inputs_come_in_order_and_scaled_back(walks):
-    log = walks["test"]
-    seen = observer_samples(log, ("q", "dq", "tau"))
-    stacked = np.concatenate((log.q, log.dq, log.tau), axis=1)
-    assert np.array_equal(seen.x, decimate(log.t, stacked, seen.rows))
-
-
 def test_labels_without_a_measured_reference_are_left_alone(walks):
     """Even where a whole batch has none; nonsense in rows with ref_ok = 0 changes nothing."""
     log = walks["fit"]
@@ -169,8 +157,7 @@ def test_labels_without_a_measured_reference_are_left_alone(walks):
         for f in (frame, nonsense)
     )
     assert np.all(np.isfinite(ours.rmse))
-    for name, weight in ours.weights.items():
-        assert np.array_equal(weight, theirs.weights[name])
+    check_same_weights(ours, theirs)
 
 
 def test_what_cannot_be_trained_on_is_said(walks):

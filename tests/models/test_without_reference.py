@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from slopes import apart, regressor_of, slope_of, step_of
 
 from surefoot.models.attribution.data import _not_identifiable
 from surefoot.models.attribution.diagnose import diagnose
 from surefoot.models.attribution.evidence import (
-    _Linear,
     all_keys,
     channels_of,
     log_under_model,
@@ -111,18 +111,11 @@ def test_channels_that_need_a_reference_are_left_out(case, short):
     ],
 )
 def test_regressors_are_the_slopes_of_what_feet_say_of_each_other(case, name, target):
-    step = 1e-2 * type(effect(name, target, 0.0)).traced_at(target).step
-    table = table_of(case, ())
-    slope = (table - table_of(case, [effect(name, target, step)])) / step
-    one = _Linear(case, ()).regressor((name, target))
-    whole = np.zeros_like(table)
-    whole[:, one.columns] = one.values
+    key = (name, target)
+    slope = slope_of(case, key, step_of(key))
     for channel in ("leg_velocity", "stance_velocity"):
         columns = layout_for(SPOT.limbs).of(channel)
-        true = np.nan_to_num(slope[:, columns])
-        assert np.linalg.norm(true) > 0
-        apart = np.linalg.norm(whole[:, columns] - true)
-        assert apart < 0.03 * np.linalg.norm(true), channel
+        assert apart(regressor_of(case, key, slope), slope, columns) < 0.03, channel
 
 
 def test_only_what_a_reference_would_show_is_said_to_need_one(case):

@@ -60,8 +60,8 @@ class Plan:
     memory: int
 
 
-def read_plan(path: Path = PLAN) -> Plan:
-    return read_typed(path, Plan, "plan")
+def read_plan() -> Plan:
+    return read_typed(PLAN, Plan, "plan")
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ ROOT = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(HERE.parent / "common")]
 import pandas as pd  # noqa: E402
 import tyro  # noqa: E402
-from mutate import PLAN, Mutant, drawn, read_plan  # noqa: E402
+from mutate import Mutant, drawn, read_plan  # noqa: E402
 from scipy.stats import binomtest  # noqa: E402
 from trial import Outcome, Workplace, dotted  # noqa: E402
 
@@ -74,19 +74,13 @@ class Mutants:
     """Files to mutate, such as 'estimator/*'."""
     survivors: bool = False
     """Try those again that survived, whatever has changed."""
-    data: Path = DATA
-    """Folder of the finished rows."""
-    page: Path = PAGE
-    """Page of results."""
-    plan: Path = PLAN
 
     def run(self) -> None:
         for name in WARM:
             import_module(name)
-        place = Workplace(ROOT, cache_folder() / "mutants", read_plan(self.plan))
-        rows = run_mutants(place, self.data, self.at_most, self.only, self.survivors)
-        first = first_outcomes(place, self.data)
-        print(write_mutants_page(self.page, place.plan.mutants, rows, first))
+        place = Workplace(ROOT, cache_folder() / "mutants", read_plan())
+        rows = run_mutants(place, DATA, self.at_most, self.only, self.survivors)
+        print(write_mutants_page(PAGE, place.plan.mutants, rows, first_outcomes(place, DATA)))
 
 
 def run_mutants(
@@ -163,21 +157,17 @@ def write_row(folder: Path, mutant: Mutant, place: Workplace, outcome: Outcome) 
 
 def read_row(folder: Path, mutant: Mutant, place: Workplace) -> dict[str, Any] | None:
     """The row of a mutant, None where it is not finished or has lapsed."""
-    row, digest = _kept(folder, mutant)
-    return row if row is not None and digest == _digest(mutant, place, row) else None
+    row = kept_row(folder, mutant)
+    return row if row is not None and row.pop("digest") == _digest(mutant, place, row) else None
 
 
 def kept_row(folder: Path, mutant: Mutant) -> dict[str, Any] | None:
-    """The row of a mutant, lapsed or not; None where it was never tried."""
-    return _kept(folder, mutant)[0]
-
-
-def _kept(folder: Path, mutant: Mutant) -> tuple[dict[str, Any] | None, str]:
+    """The row of a mutant with its digest, lapsed or not; None where it was never tried."""
     try:
         values = json.loads((folder / f"{mutant.key}.json").read_text(encoding="utf-8"))
-        return values["row"], values["digest"]
+        return values["row"] | {"digest": values["digest"]}
     except (OSError, ValueError, KeyError, TypeError):
-        return None, ""
+        return None
 
 
 def _digest(mutant: Mutant, place: Workplace, row: Mapping[str, Any]) -> str:

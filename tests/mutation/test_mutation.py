@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mutate import PLAN, drawn, mutants_of, quotas, read_plan
+from mutate import drawn, mutants_of, quotas, read_plan
 from run import first_outcomes, read_row, run_mutants
 from trial import Outcome, Workplace
 
@@ -148,7 +148,7 @@ def test_lapsed_rows_come_first_and_keep_what_was_found_at_first(place, tmp_path
 
 
 def test_the_draw_is_that_of_its_seed_and_has_every_file_by_its_share():
-    plan = replace(read_plan(PLAN), files=["estimator/updates/*.py"], mutants=60)
+    plan = replace(read_plan(), files=["estimator/updates/*.py"], mutants=60)
     every = drawn(plan, ROOT)
     assert every == drawn(plan, ROOT)
     assert len(every) == len({mutant.key for mutant in every}) == plan.mutants

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusals import refusal, refused
 from scipy.special import ndtri
-from whole_runs import filter_of, run_imu
+from whole_runs import run_imu
 
 from studies.command import run_study
 from studies.montecarlo.numpy_reference import numpy_moments, numpy_trial
@@ -45,6 +45,7 @@ from studies.montecarlo.update import update_illustration
 from surefoot.estimator.box import box_moments
 from surefoot.estimator.core.lie import hat
 from surefoot.estimator.core.state import FilterNoise, NavState
+from surefoot.estimator.filter import InvariantFilter
 from surefoot.scenarios.reporting.pages import read_origin
 
 
@@ -103,7 +104,7 @@ def test_scores_are_those_of_the_filters_one_sample_at_a_time(study, regime):
         scores = run_trials(study, truth, trials, setting)
         for k in range(2):
             start = NavState.unpack(trials.means[k]), trials.covariance
-            f = filter_of(*start, noise, setting.persistent)
+            f = InvariantFilter(*start, noise, setting.persistent)
             distance, nees = [], []
             for n in range(1, len(truth.t)):
                 f.predict(trials.gyro[k, n], trials.accel[k, n], truth.t[n] - truth.t[n - 1])
