@@ -122,8 +122,8 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     miscounted, judged = (int(one.sum()) for one in miscounts(poses))
     if judged and miscounted >= _FEW_DOUBTFUL * judged:
         said.append(
-            f"{100 * miscounted / judged:.1f} % of stamps doubtful: so many of the {judged} steps at"
-            " a steady speed have 1/2, 2/3, 3/2 or 2 times their neighbours' (frames miscounted)"
+            f"{100 * miscounted / judged:.1f} % of stamps doubtful: so many of the {judged} steps"
+            " at a steady speed have 1/2, 2/3, 3/2 or 2 times their neighbours' (frames miscounted)"
         )
     said += [
         f"stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while it goes on: a clock"

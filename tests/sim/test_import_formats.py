@@ -392,20 +392,6 @@ def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form, turne
     refused("gyro is of 2 episodes or robots of 9 rows", read_file, run, Source())
 
 
-@pytest.mark.parametrize("deep", [20, 21])
-def test_lists_are_found_within_twenty_records(tmp_path, deep):
-    """No recording is deeper, and nothing is searched without an end."""
-    names = [f"k{k}" for k in range(deep)]
-    text = json.dumps([0.0, 1.0])
-    for name in reversed(names):
-        text = f'{{"{name}": {text}}}'
-    (tmp_path / "run.json").write_text(text)
-    if deep > 20:
-        refused("no records and no lists", read_json, tmp_path / "run.json")
-    else:
-        assert read_json(tmp_path / "run.json").cells[".".join(names)].tolist() == [0.0, 1.0]
-
-
 def test_objects_of_matlab_are_not_read(tmp_path):
     """A timeseries is six numbers that point to where MATLAB hides its arrays."""
     with h5py.File(tmp_path / "run.mat", "w") as file:
