@@ -16,9 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
+from recorded import SENSORS, as_named
 
-NAMES = ("t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"))
-MAP = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in NAMES)
+NAMES = ("t", *SENSORS)
+MAP = as_named(NAMES)
 BAG_MAP = "[columns]\n" + "".join(f'{name} = "/imu:{name}"\n' for name in NAMES)
 BAGS = (".mcap", ".bag", ".db3", "")
 """Endings of bags, none of a folder."""
@@ -109,13 +110,14 @@ def table(**other) -> Callable[[Path], None]:
     return lambda path: pq.write_table(pa.table(COLUMNS | other), path)
 
 
-def many_rows(path: Path) -> None:
-    """Twenty million rows of forty columns in a small file."""
-    schema = pa.schema([(name, pa.float64()) for name in (*NAMES, *(f"x_{k}" for k in range(33)))])
-    group = pa.table([pa.array(np.zeros(1_000_000))] * len(schema), schema=schema)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        for _ in range(20):
-            writer.write_table(group)
+def zeros(path: Path, groups: int = 20, rows: int = 1_000_000, about: dict | None = None) -> None:
+    """Row groups of forty columns in a file of a few megabytes."""
+    column = pa.array(np.zeros(rows))
+    group = pa.table(dict.fromkeys((*NAMES, *(f"x_{k}" for k in range(33))), column))
+    group = group.replace_schema_metadata(about)
+    with pq.ParquetWriter(path, group.schema, compression="zstd") as writer:
+        for _ in range(groups):
+            writer.write_table(group, row_group_size=rows)
 
 
 def bag_folder(about: str) -> Callable[[Path], None]:
@@ -173,7 +175,7 @@ RECORDING = [
     ("a matrix of 2^60", "r.mat", struct.pack("<iiiii", 0, 2**30, 2**30, 0, 2) + b"t\0", "r.mat"),
     ("a header alone", "r.mat", MAT, "missing"),
     ("noise", "r.mat", MAT + np.random.default_rng(0).bytes(5000), "r.mat"),
-    ("twenty million rows of forty columns", "r.parquet", many_rows, "times its size"),
+    ("twenty million rows of forty columns", "r.parquet", zeros, "times its size"),
     ("a column of lists", "r.parquet", table(accel_z=[[1.0]] * ROWS), "number"),
     ("a column of nothing", "r.parquet", table(accel_z=pa.nulls(ROWS)), "empty"),
     ("a text", "r.parquet", "PAR1 hello PAR1", "r.parquet"),

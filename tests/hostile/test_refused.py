@@ -7,7 +7,6 @@ from pathlib import Path
 
 import command_cases
 import log_cases
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -116,17 +115,11 @@ def recorded(file: str, content: str | bytes | Callable[[Path], None]) -> Callab
 
 
 def zeros(groups: int, rows: int) -> Callable[[Path], None]:
-    """Row groups of forty columns, each decoded at once, in a file of a few megabytes."""
+    """Write the good log anew, of so many rows of zeros."""
 
     def change(folder: Path) -> None:
-        about = pq.read_schema(folder / "walk.parquet").metadata
-        names = ["t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz")]
-        names += [f"x_{k}" for k in range(33)]
-        schema = pa.schema([(name, pa.float64()) for name in names]).with_metadata(about)
-        group = pa.table([pa.array(np.zeros(rows))] * len(names), schema=schema)
-        with pq.ParquetWriter(folder / "walk.parquet", schema, compression="zstd") as writer:
-            for _ in range(groups):
-                writer.write_table(group, row_group_size=rows)
+        path = folder / "walk.parquet"
+        recording_cases.zeros(path, groups, rows, pq.read_schema(path).metadata)
 
     return change
 

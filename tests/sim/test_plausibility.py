@@ -185,12 +185,6 @@ def euler_angles(log: Log, read: Callable[..., tuple[np.ndarray, ...]]) -> Log:
     )
 
 
-def of_another_point(log: Log, *p_IM: float) -> Log:
-    R = log.ref_R_GI
-    turning = np.einsum("nij,nj->ni", R, np.cross(log.gyro, p_IM))
-    return vectors(log, ref_p=log.ref_p + R @ p_IM, ref_v=log.ref_v + turning)
-
-
 def leg_odometry(log: Log) -> Log:
     """The reference's positions as legs and gyro have them."""
     feet, on = SPOT.feet_I(log.q), log.contact[:, :, None]

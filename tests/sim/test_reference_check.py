@@ -98,13 +98,6 @@ def test_errors_of_stamps_are_told_from_those_of_positions():
     assert found.stamp == pytest.approx(np.std(delay), rel=0.2)
 
 
-def test_the_force_drifts_in_a_second_as_by_a_tilt_of_some_tenths_of_a_degree():
-    """It shows as an acceleration of the path, of gravity times the tilt."""
-    _, Q = _transition(1.0, 0.0)
-    tilt = np.degrees(np.sqrt(np.diag(Q)[6:9]) / 9.81)
-    np.testing.assert_allclose(tilt, 0.3, rtol=0.05)
-
-
 def test_the_search_for_the_noise_of_a_reference_without_any_ends(monkeypatch):
     """Its likelihood has no maximum: it grows as the sizes tend to zero."""
     calls, filtered = [], reference_check_module._filtered
