@@ -55,9 +55,9 @@ def poses(t: np.ndarray, step: float) -> pd.DataFrame:
     return frame.assign(ref_p_x=step * np.arange(len(t)), ref_q_w=1.0)
 
 
-def drafted(folder: Path, columns) -> Draft:
+def drafted(folder: Path, columns, robot: str | None = None) -> Draft:
     """The draft of a single table of text."""
-    return guess_map([csv(folder, columns)])
+    return guess_map([csv(folder, columns)], robot)
 
 
 def entries_of(draft: Draft) -> dict[str, Entry]:

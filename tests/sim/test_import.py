@@ -7,8 +7,10 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recorded import as_named
 from refusals import refusal, refused
 from scipy.spatial.transform import Rotation
+from written import written
 
 from studies.measured import measured_folder
 from surefoot.sim.importing.clock import rate_of
@@ -296,18 +298,13 @@ def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
 
 
 @pytest.mark.parametrize(
-    ("of", "columns", "needs"),
-    [
-        ("torque", "", True),
-        ("kinematics", "", True),
-        ("torque", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', True),
-        ("kinematics", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', False),
-    ],
+    ("of", "feet", "needs"),
+    [("torque", 1, True), ("kinematics", 0, True), ("kinematics", 1, False)],
 )
-def test_contacts_from_joints_need_a_robot(tmp_path, of, columns, needs):
+def test_contacts_from_joints_need_a_robot(tmp_path, of, feet, needs):
     """Those from kinematics do with the feet that a recording gives."""
-    path = tmp_path / "map.toml"
-    path.write_text(f'[columns]\nt = "t"\n{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
+    columns = as_named(("t", *(f"foot_left_{axis}" for axis in "xyz" * feet)))
+    path = written(tmp_path / "map.toml", f'{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
     if needs:
         refused(rf"\[contact\] of {of} needs a \[robot\]", ImportMap.read, path)
     else:

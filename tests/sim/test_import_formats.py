@@ -22,7 +22,6 @@ from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.json_file import read_json
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings
-from surefoot.sim.importing.readers.text import _separator
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
@@ -403,29 +402,10 @@ def test_objects_of_matlab_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "separator"),
-    [
-        ("1,5 2,25 3", r"\s+"),
-        ("1,5 -2 3", r"\s+"),
-        ("1.5, 2.25, 3", ","),
-        ("1.5,2.25,3", ","),
-        ("1,5;2,25;3", ";"),
-        ("1.5\t2.25", "\t"),
-        ("1.5 2.25 3", r"\s+"),
-    ],
-)
-def test_a_comma_beside_another_separator_is_a_decimal_comma(line, separator):
-    assert _separator(line) == separator
-
-
-@pytest.mark.parametrize(
     ("shapes", "rows", "parameters"),
     [
-        ({"t": (9,), "q": (6, 9)}, {"t": 9, "q": 9}, ()),
-        ({"t": (9,), "q": (9, 6)}, {"t": 9, "q": 9}, ()),
         ({"q": (9, 6)}, {"q": 9}, ()),
         ({"q": (6, 9)}, {"q": 9}, ()),
-        ({"q": (99, 12), "kp": (12,)}, {"q": 99}, ("kp",)),
         ({"q": (99, 12), "limits": (12, 2), "kp": (1, 12)}, {"q": 99}, ("limits", "kp")),
         ({"imu": (500, 3), "q": (99, 12), "kd": (12,)}, {"imu": 500, "q": 99}, ("kd",)),
         ({"force": (99, 4, 3), "mass": (4,), "g": (3,)}, {"force": 99}, ("mass", "g")),

@@ -43,6 +43,7 @@ def read(folder, *files):
         ("", {}, {}),
         ("", {"sep": "\t"}, {}),
         ("", {"sep": ";", "decimal": ","}, {"separator": ";", "decimal": ","}),
+        ("", {"sep": " ", "decimal": ","}, {"separator": r"\s+", "decimal": ","}),
         ("", {"quoting": 1}, {}),
         ("# a robot\n# and its day\n", {}, {"skip": 2}),
         ("Recorded by hand\nDay;3\n\n", {"sep": ";"}, {"skip": 3}),

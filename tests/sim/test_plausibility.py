@@ -280,6 +280,7 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "spikes in the gyro": ("gyro_x", leaping(20.0), "spikes", "gyro_x"),
     "accelerometer in mg": ("accel", times(1e3 / G), "gravity", 'unit = "mg"'),
     "accelerometer in mm/s^2": ("accel", times(1e3), "gravity", "in mm/s^2"),
+    "accelerometer biased": ("accel_x", plus(1.0), "accelerometer", "accel_x: a bias"),
     "accelerometer scaled": ("accel", times(1.2), "gravity", "scaled by 1.2"),
     "gravity of the wrong sign": ("accel_z", plus(-19.62), "gravity", "offset = 19.62"),
     "accelerometer that is noise": ("accel", noisy(4.0), "noise", "accel_x, accel_y, accel_z"),
@@ -321,6 +322,8 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "reference scaled": (
         "ref_[pv]", times(1.2), "reference's motion", "times that of the accelerometer"),
     "velocities in mm/s": ("ref_v", times(1e3), "reference's velocity", 'unit = "mm/s"'),
+    "velocities of the wrong sign": (
+        "ref_v_y", np.negative, "reference's velocity", "ref_v_y: y is -y"),
     "velocities in km/h": ("ref_v", times(3.6), "reference's velocity", "in km/h"),
     "no velocity along an axis": (
         "ref_v_x", np.zeros_like, "frozen", "ref_v_x: a sensor that hangs"),
@@ -385,6 +388,8 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         exchanged(("q_FL", "q_FR"), ("tau_FL", "tau_FR")),
         "legs", "swapped legs (joints)"),
     "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "thigh is calf"),
+    "contacts inverted": (
+        partial(changed, pattern="contact_", change=lambda x: 1.0 - x), "legs", "1 means lifted"),
     "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
     "a second lost": (partial(dropped, rows=slice(1000, 1500)), "rows", "500 rows missing"),
     "every twentieth row lost": (partial(dropped, rows=20), "single rows", "lost rows"),
