@@ -106,7 +106,7 @@ class RawRecording:
         if torques := _torques_by_law(main, joints, law):
             main |= torques
             derived.append("tau (motor law)")
-        frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
+        frame = pd.DataFrame(main)
         meta = Meta(
             rate=sections.source.rate or rate_of(main["t"]),
             robot=rules.robot,
@@ -221,13 +221,3 @@ def _torques_by_law(
         + main.get(f"tau_ff_{joint}", 0.0)
         for joint, kp, kd in zip(joints, law["kp"], law["kd"], strict=True)
     }
-
-
-_ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "foot", "ref", "x_")
-
-
-def _column_order(column: str) -> int:
-    """Order of the groups as in the Log's table; `sorted` keeps the map's order within each."""
-    prefix = joint_prefix(column) or column
-    matches = [i for i, start in enumerate(_ORDER) if prefix.startswith(start)]
-    return 0 if column == "t" else max(matches, default=len(_ORDER))
