@@ -11,7 +11,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.clock import Columns, column_kind, resampled, without_holds
+from surefoot.sim.importing.clock import Columns, column_kind, rate_of, resampled, without_holds
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
@@ -99,16 +99,16 @@ class RawRecording:
             main = with_reference(main, poses.rows(~wrong), str(rules.path))
             offset = reference_offset(rules, self.name)
             model = model | ({REFERENCE_OFFSET: offset} if offset else {})
-            step = round(1.0 / _rate(poses.t), 6)
+            step = round(1.0 / rate_of(poses.t), 6)
             model = model | {REFERENCE_SAMPLES: [round(float(poses.t[0]), 6), step]}
         joints = joint_names(main)
         law = _motor_law(rules, joints)
         if torques := _torques_by_law(main, joints, law):
             main |= torques
             derived.append("tau (motor law)")
-        frame = pd.DataFrame({column: main[column] for column in sorted(main, key=_column_order)})
+        frame = pd.DataFrame(main)
         meta = Meta(
-            rate=sections.source.rate or _rate(main["t"]),
+            rate=sections.source.rate or rate_of(main["t"]),
             robot=rules.robot,
             motor_law=law,
             derived=tuple(derived),
@@ -150,10 +150,6 @@ def _check_known(key: str, named: Iterable[str], columns: Iterable[str]) -> None
             )
 
 
-def _rate(t: np.ndarray) -> float:
-    return float(f"{1.0 / np.median(np.diff(t)):.6g}") if len(t) > 1 else 1.0
-
-
 def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     """Interpolate held columns and resample to an even rate; also returns the names of derived
     ones.
@@ -163,7 +159,7 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     said = [f"{kind} (between held readings)" for kind in even.held]
     said += _earlier_words(even.late)
     t = main["t"]
-    rate = even.rate or _rate(t)
+    rate = even.rate or rate_of(t)
     size = 8.0 * len(main) * rate * (t[-1] - t[0])
     check_limit("memory", size, f"[even] at {rate:g} Hz: bytes in memory")
     times = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)
@@ -225,13 +221,3 @@ def _torques_by_law(
         + main.get(f"tau_ff_{joint}", 0.0)
         for joint, kp, kd in zip(joints, law["kp"], law["kd"], strict=True)
     }
-
-
-_ORDER = ("t", "gyro", "accel", "q_", "dq_", "tau_", "contact", "force", "foot", "ref", "x_")
-
-
-def _column_order(column: str) -> int:
-    """Order of the groups as in the Log's table; `sorted` keeps the map's order within each."""
-    prefix = joint_prefix(column) or column
-    matches = [i for i, start in enumerate(_ORDER) if prefix.startswith(start)]
-    return 0 if column == "t" else max(matches, default=len(_ORDER))

@@ -98,41 +98,15 @@ _SHORTEST_SECTION = 1.0
 
 @dataclass(frozen=True)
 class ReferenceCheck:
-    """Result of the checks of a reference.
+    """Result of the checks of a reference, in words.
 
     Attributes:
-        samples: number, rate and gaps of its samples, in words.
-        others: faults other than doubtful stamps, in words.
-        judged: number of steps at a steady speed, whose frames can be counted.
-        miscounted: number of these that are off by a frame.
+        samples: number, rate and gaps of its samples.
+        faults: of its stamps and poses.
     """
 
     samples: str
-    others: tuple[str, ...] = ()
-    judged: int = 0
-    miscounted: int = 0
-
-    @property
-    def doubtful(self) -> float:
-        """Share of the judged steps whose stamps are off by a frame."""
-        return self.miscounted / self.judged if self.judged else 0.0
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """Description in words, followed by the faults."""
-        return (self.samples, *self.faults)
-
-    @property
-    def faults(self) -> tuple[str, ...]:
-        """The faults only, in words."""
-        if self.doubtful < _FEW_DOUBTFUL:
-            return self.others
-        return (
-            f"reference: {100 * self.doubtful:.1f} % of stamps doubtful: so many of the "
-            f"{self.judged} steps at a steady speed have 1/2, 2/3, 3/2 or 2 times their "
-            "neighbours' (frames miscounted)",
-            *self.others,
-        )
+    faults: tuple[str, ...] = ()
 
 
 def check_reference(poses: Poses) -> ReferenceCheck:
@@ -144,8 +118,14 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     samples += f"{gaps} over {1e3 * MAX_GAP:.0f} ms"
     if len(step) < 2 * _NEIGHBOURS + 1:
         return ReferenceCheck(samples)
-    pose = np.column_stack([poses.p, poses.q])
-    said = [
+    pose, said = np.column_stack([poses.p, poses.q]), list[str]()
+    miscounted, judged = (int(one.sum()) for one in miscounts(poses))
+    if judged and miscounted >= _FEW_DOUBTFUL * judged:
+        said.append(
+            f"{100 * miscounted / judged:.1f} % of stamps doubtful: so many of the {judged} steps"
+            " at a steady speed have 1/2, 2/3, 3/2 or 2 times their neighbours' (frames miscounted)"
+        )
+    said += [
         f"stamps leap from {seconds(t[row - 1])} to {seconds(t[row])} s while it goes on: a clock"
         " that was set; import what is before and the rest separately"
         for row in set_forward(t, pose)
@@ -158,8 +138,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     same = ~np.diff(pose, axis=0).any(axis=1)
     if held := np.sum(same & (_speeds(poses)[1] > _SLOWEST)):
         said.append(f"{held} samples repeat the one before while the body moves")
-    miscounted, judged = (int(one.sum()) for one in miscounts(poses))
-    return ReferenceCheck(samples, tuple(f"reference: {one}" for one in said), judged, miscounted)
+    return ReferenceCheck(samples, tuple(f"reference: {one}" for one in said))
 
 
 def _jump(poses: Poses, step: int) -> tuple[float, str]:

@@ -26,7 +26,8 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     if not log.has("reference"):
         return ()
     poses = reference_poses(log) if poses is None else poses
-    lines = check_reference(poses).lines
+    found = check_reference(poses)
+    lines = (found.samples, *found.faults)
     if not log.has("imu"):
         return lines
     within = without_jumps(poses)

@@ -79,12 +79,6 @@ class AxesMatch:
         signs = {i: "-" if self.sign[i] < 0 else "" for i in self.wrong}
         return ", ".join(f"{'xyz'[i]} is {s}{'xyz'[self.order[i]]}" for i, s in signs.items())
 
-    @property
-    def scaled(self) -> float:
-        """Common scale factor of the axes that correlate well; NaN where none does."""
-        alike = self.best > LIKELY
-        return float(np.median(self.scale[alike])) if alike.any() else float("nan")
-
     def corrected(self, *kinds: str) -> Changes:
         """Changes of the map that correct each wrong axis of vectors of some kinds."""
         entry: dict[str, dict[str, Any]] = {}

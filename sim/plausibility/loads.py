@@ -146,7 +146,7 @@ def _pushes(robot: Robot, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
     angles (K, J); 0 where a leg is stretched, or legs have not three joints.
     """
     chains = robot.limbs.chains
-    if {*map(len, chains)} != {3}:
+    if not robot.limbs.point_feet:
         return np.zeros((len(q), len(chains), 3))
     J = robot.feet_jacobian_I(q)
     usable = (np.abs(np.linalg.det(J)) > 1e-4)[..., None]

@@ -43,7 +43,7 @@ RULES: tuple[Rule, ...] = (
     attitude.attitude, reference.velocity, imu.gyro,
     joints.driving, joints.followed, streams.coarse, streams.noisy,
     # IMU, reference and legs together.
-    imu.accelerometer, imu.averaged, reference.point, reference.motion,
+    imu.accelerometer, reference.point, reference.motion, imu.averaged,
     imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.late_torques,
     # Symptoms of several causes.
     joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.torque_signs,

@@ -3,7 +3,7 @@ to zero, copied or derived from another column.
 """
 
 from collections.abc import Iterator
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -221,15 +221,14 @@ def interpolated(view: LogView) -> Iterator[Finding]:
     Remedy: nothing, if it is known: noise is less than it seems, and impacts are missing.
     """
     known = " ".join(view.log.meta.derived)
-    for kind, columns in _kinds(view, ("gyro", "accel", "q", "dq", "tau", "foot", "ref_p")).items():
+    for kind, name, x in _each(view, "gyro", "accel", "q", "dq", "tau", "foot", "ref_p"):
         if f"{kind} (between held readings)" in known:
             continue
-        for name, x in columns.items():
-            share = _straight(x)
-            rate = view.log.rate * (1.0 - share)
-            if share > STRAIGHT and (kind != "ref_p" or rate < SLOWEST_REFERENCE):
-                seen = f"on straight lines between readings at {rate:.0f} Hz"
-                yield Finding((name,), seen, "a slower sensor, interpolated: its noise is not that")
+        share = _straight(x)
+        rate = view.log.rate * (1.0 - share)
+        if share > STRAIGHT and (kind != "ref_p" or rate < SLOWEST_REFERENCE):
+            seen = f"on straight lines between readings at {rate:.0f} Hz"
+            yield Finding((name,), seen, "a slower sensor, interpolated: its noise is not that")
 
 
 @plausibility_rule("late", beside="t ref")
@@ -290,14 +289,12 @@ def noisy(view: LogView) -> Iterator[Finding]:
         angles, and says so; a filter takes such noise for 0.01 rad/s and 0.1 m/s².
     """
     cause = "a broken sensor, a drive that chatters, or readings of several samples mixed up"
-    for kind, columns in _kinds(view, ("gyro", "accel", "dq")).items():
-        for name, x in columns.items():
-            # Third differences of white noise have 20 times its variance; the median ignores
-            # impacts.
-            rough = np.median(np.abs(np.diff(x, n=3))) / 0.6745 / np.sqrt(20.0)
-            if rough > NOISE[kind] and (kind != "dq" or _resolved(view, name)):
-                unit = next(iter(UNITS[kind]))
-                yield Finding((name,), f"{rough:.2f} {unit} from row to row", cause)
+    for kind, name, x in _each(view, "gyro", "accel", "dq"):
+        # Third differences of white noise have 20 times its variance; the median ignores impacts.
+        rough = np.median(np.abs(np.diff(x, n=3))) / 0.6745 / np.sqrt(20.0)
+        if rough > NOISE[kind] and (kind != "dq" or _resolved(view, name)):
+            unit = next(iter(UNITS[kind]))
+            yield Finding((name,), f"{rough:.2f} {unit} from row to row", cause)
 
 
 def _resolved(view: LogView, name: str) -> bool:
@@ -316,12 +313,11 @@ def coarse(view: LogView) -> Iterator[Finding]:
     Reason: fifty times what sensors of 16 bits and encoders of 12 bits have.
     Remedy: record more digits.
     """
-    for kind, columns in _kinds(view, ("gyro", "accel", "q")).items():
-        for name, x in columns.items():
-            least = float(np.diff(np.unique(x)).min(initial=np.inf))
-            if COARSE * NOISE[kind] < least < np.inf:
-                seen = f"readings are {least:.3g} apart or more"
-                yield Finding((name,), seen, "rounded, or the numbers of a sensor not converted")
+    for kind, name, x in _each(view, "gyro", "accel", "q"):
+        least = float(np.diff(np.unique(x)).min(initial=np.inf))
+        if COARSE * NOISE[kind] < least < np.inf:
+            seen = f"readings are {least:.3g} apart or more"
+            yield Finding((name,), seen, "rounded, or the numbers of a sensor not converted")
 
 
 @plausibility_rule("overflow")
@@ -335,17 +331,16 @@ def overflows(view: LogView) -> Iterator[Finding]:
     Remedy: a sensor of larger range, or wider numbers; wrap for angles.
     """
     even = np.diff(view.t) < 2.0 * np.median(np.diff(view.t)) if len(view.t) > 2 else False
-    for kind, columns in _kinds(view, ("gyro", "q")).items():
-        for name, x in columns.items():
-            steps, span = np.abs(np.diff(x)), float(np.ptp(x))
-            over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS * NOISE[kind]))
-            over[1:-1] &= ~(over[:-2] | over[2:])  # a row there and back is a spike
-            if np.sum(over) < LEAST_OVERFLOWS or not _varied(x):
-                continue
-            seen = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
-            turns = kind == "q" and abs(span / _WHOLE_TURN - 1.0) < 0.05
-            cause = "an angle that starts again after a turn" if turns else "numbers that overflow"
-            yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
+    for kind, name, x in _each(view, "gyro", "q"):
+        steps, span = np.abs(np.diff(x)), float(np.ptp(x))
+        over = even & (steps > max(FROM_END_TO_END * span, OVERFLOWS * NOISE[kind]))
+        over[1:-1] &= ~(over[:-2] | over[2:])  # a row there and back is a spike
+        if np.sum(over) < LEAST_OVERFLOWS or not _varied(x):
+            continue
+        seen = f"{np.sum(over)} steps from one end of its range to the other, {span:.3g} away"
+        turns = kind == "q" and abs(span / _WHOLE_TURN - 1.0) < 0.05
+        cause = "an angle that starts again after a turn" if turns else "numbers that overflow"
+        yield Finding((name,), seen, cause, entries((name,), wrap=_WHOLE_TURN) if turns else {})
 
 
 @plausibility_rule("saturated", is_note=True)
@@ -357,9 +352,9 @@ def saturated(view: LogView) -> Iterator[Finding]:
     Reason: a sensor's noise spreads what does not clip.
     Remedy: a sensor of larger range; filters take clipped readings for true ones.
     """
-    for columns in _kinds(view, ("gyro", "accel", "dq")).values():
-        for name, sign in product(columns, (1.0, -1.0)):
-            y = sign * columns[name]
+    for _, name, x in _each(view, "gyro", "accel", "dq"):
+        for sign in (1.0, -1.0):
+            y = sign * x
             top = float(y.max())
             at_top = y == top
             # A coarse sensor may have no reading within 3 % of it.
@@ -386,22 +381,21 @@ def spikes(view: LogView) -> Iterator[Finding]:
         too.
     Remedy: leave such rows out before the import.
     """
-    for kind, columns in _kinds(view, (*NOISE, "tau")).items():
+    for kind, name, x in _each(view, *NOISE, "tau"):
         if kind == "tau" and not view.on_fixed_base:
             continue  # a leg that lands asks for any torque
-        for name, x in columns.items():
-            if len(x) < 50 or not np.ptp(x):
-                continue
-            # Drives report no rate below some speed.
-            zeros = _drop_outs(x, most=2 if kind in ("dq", "tau") else None)
-            rows, off = _leaps(view, kind, name, x)
-            if zeros >= DROPS:
-                seen = f"{zeros} rows read exactly 0 between rows that do not"
-                yield Finding((name,), seen, "drop-outs filled with zeros")
-            elif rows.size:
-                first = view.t[rows[0]]
-                seen = f"leaps by up to {off.max():.3g} and back, first at {first:.2f} s"
-                yield Finding((name,), seen, "readings corrupted in transmission")
+        if len(x) < 50 or not np.ptp(x):
+            continue
+        # Drives report no rate below some speed.
+        zeros = _drop_outs(x, most=2 if kind in ("dq", "tau") else None)
+        rows, off = _leaps(view, kind, name, x)
+        if zeros >= DROPS:
+            seen = f"{zeros} rows read exactly 0 between rows that do not"
+            yield Finding((name,), seen, "drop-outs filled with zeros")
+        elif rows.size:
+            first = view.t[rows[0]]
+            seen = f"leaps by up to {off.max():.3g} and back, first at {first:.2f} s"
+            yield Finding((name,), seen, "readings corrupted in transmission")
 
 
 def _leaps(view: LogView, kind: str, name: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -469,6 +463,12 @@ def derived(view: LogView) -> Iterator[Finding]:
         if np.any(log.tau) and np.sum((commanded - log.tau) ** 2) < 1e-8 * np.sum(log.tau**2):
             seen = "the motor law of q_des, q and dq, to 1e-4 of its size"
             yield Finding(view.columns("tau"), seen, "commanded, not measured")
+
+
+def _each(view: LogView, *wanted: str) -> Iterator[tuple[str, str, np.ndarray]]:
+    """Kind, name and values (N,) of the columns of some kinds."""
+    for kind, columns in _kinds(view, wanted).items():
+        yield from ((kind, name, x) for name, x in columns.items())
 
 
 def _kinds(view: LogView, wanted: tuple[str, ...]) -> dict[str, Columns]:

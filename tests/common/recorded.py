@@ -1,6 +1,6 @@
 """Recordings that a test writes, and what an importer makes of them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import h5py
@@ -12,6 +12,10 @@ from surefoot.sim.importing.guessing.draft import Draft, Entry
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import GROUPS
+
+SENSORS, POSE = ([*GROUPS[group]] for group in ("imu", "reference"))
+UNIX = 1_700_000_000
 
 
 def csv(folder: Path, columns, name: str = "run.csv", **options) -> Path:
@@ -48,9 +52,20 @@ def imported(files: Path | Sequence[Path], rules: str | Draft) -> Log:
     return import_log(files, at)
 
 
-def drafted(folder: Path, columns) -> Draft:
+def as_named(names: Iterable[str], section: str = "columns") -> str:
+    """A section of a map, of columns that have the log's names."""
+    return f"[{section}]\n" + "".join(f'{name} = "{name}"\n' for name in names)
+
+
+def poses(t: np.ndarray, step: float) -> pd.DataFrame:
+    """A reference that goes along x by a step [m] a sample, and does not turn."""
+    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
+    return frame.assign(ref_p_x=step * np.arange(len(t)), ref_q_w=1.0)
+
+
+def drafted(folder: Path, columns, robot: str | None = None) -> Draft:
     """The draft of a single table of text."""
-    return guess_map([csv(folder, columns)])
+    return guess_map([csv(folder, columns)], robot)
 
 
 def entries_of(draft: Draft) -> dict[str, Entry]:

@@ -16,9 +16,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import scipy.io
+from recorded import SENSORS, as_named
 
-NAMES = ("t", *(f"{sensor}_{axis}" for sensor in ("gyro", "accel") for axis in "xyz"))
-MAP = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in NAMES)
+NAMES = ("t", *SENSORS)
+MAP = as_named(NAMES)
 BAG_MAP = "[columns]\n" + "".join(f'{name} = "/imu:{name}"\n' for name in NAMES)
 BAGS = (".mcap", ".bag", ".db3", "")
 """Endings of bags, none of a folder."""
@@ -109,13 +110,14 @@ def table(**other) -> Callable[[Path], None]:
     return lambda path: pq.write_table(pa.table(COLUMNS | other), path)
 
 
-def many_rows(path: Path) -> None:
-    """Twenty million rows of forty columns in a small file."""
-    schema = pa.schema([(name, pa.float64()) for name in (*NAMES, *(f"x_{k}" for k in range(33)))])
-    group = pa.table([pa.array(np.zeros(1_000_000))] * len(schema), schema=schema)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-        for _ in range(20):
-            writer.write_table(group)
+def zeros(path: Path, groups: int = 20, rows: int = 1_000_000, about: dict | None = None) -> None:
+    """Row groups of forty columns in a file of a few megabytes."""
+    column = pa.array(np.zeros(rows))
+    group = pa.table(dict.fromkeys((*NAMES, *(f"x_{k}" for k in range(33))), column))
+    group = group.replace_schema_metadata(about)
+    with pq.ParquetWriter(path, group.schema, compression="zstd") as writer:
+        for _ in range(groups):
+            writer.write_table(group, row_group_size=rows)
 
 
 def bag_folder(about: str) -> Callable[[Path], None]:
@@ -139,7 +141,6 @@ RECORDING = [
     ("an integer of 400 digits", "r.json", replaced("9" * 400), "too large"),
     ("an integer of 5000 digits", "r.json", replaced("9" * 5000), "r.json"),
     ("no number", "r.json", replaced("NaN"), "NaN"),
-    ("an infinite number", "r.json", replaced("-Infinity"), "infinite"),
     ("a number of 1e400", "r.json", replaced("1e400"), "infinite"),
     ("a number of 1e300", "r.json", replaced("1e300"), "1e+300"),
     ("null", "r.json", replaced("null"), "empty"),
@@ -147,22 +148,17 @@ RECORDING = [
     ("half a surrogate", "r.json", replaced('"\\ud800"'), "number"),
     ("lists in lists", "r.json", "[" * 200_000, "JSON"),
     ("records in records", "r.json", '{"a":' * 50_000 + "1" + "}" * 50_000, "JSON"),
-    ("records that share no field", "r.json", json.dumps([{f"k{i}": i} for i in range(30_000)]), "fields"),
     ("one number", "r.json", "3", "no records"),
     ("nothing", "r.json", "", "JSON"),
     ("empty records", "r.json", "[{}, {}]", "no records"),
     ("bytes", "r.json", bytes(range(256)) * 20, "JSON"),
     ("a line without an end", "r.jsonl", '{"t": 1}\n{"t":', "JSON"),
-    ("lines of numbers", "r.jsonl", "1\n2\n3\n", "missing"),
     ("lists of two lengths", "r.json", json.dumps({n: x.tolist() for n, x in COLUMNS.items()} | {"accel_z": [1.0]}), "rows"),
     ("records backwards", "r.json", json.dumps(RECORDS[::-1]), "t"),
-    ("complex numbers", "r.npz", packed(accel_z=np.full(ROWS, 9.8 + 1j)), "accel_z"),
     ("words", "r.npz", packed(accel_z=np.array(["fast"] * ROWS)), "number"),
-    ("objects", "r.npz", packed(accel_z=np.array([{}] * ROWS, dtype=object)), "pickle"),
     ("a single number", "r.npz", packed(accel_z=np.float64(9.8)), "accel_z"),
     ("a cube", "r.npz", packed(accel_z=np.zeros((ROWS, 2, 2))), "accel_z"),
     ("no numbers", "r.npz", packed(accel_z=np.full(ROWS, np.nan)), "NaN"),
-    ("a column too short", "r.npz", packed(accel_z=np.zeros(ROWS - 1)), "rows"),
     ("a gigabyte of zeros", "r.npz", zeros_npz, "times its size"),
     ("a trillion numbers that are not there", "r.npz", lying_npz, "r.npz"),
     ("a header of brackets", "r.npy", b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65535, "r.npy"),
@@ -179,8 +175,7 @@ RECORDING = [
     ("a matrix of 2^60", "r.mat", struct.pack("<iiiii", 0, 2**30, 2**30, 0, 2) + b"t\0", "r.mat"),
     ("a header alone", "r.mat", MAT, "missing"),
     ("noise", "r.mat", MAT + np.random.default_rng(0).bytes(5000), "r.mat"),
-    ("twenty million rows of forty columns", "r.parquet", many_rows, "times its size"),
-    ("a column of words", "r.parquet", table(accel_z=["fast"] * ROWS), "number"),
+    ("twenty million rows of forty columns", "r.parquet", zeros, "times its size"),
     ("a column of lists", "r.parquet", table(accel_z=[[1.0]] * ROWS), "number"),
     ("a column of nothing", "r.parquet", table(accel_z=pa.nulls(ROWS)), "empty"),
     ("a text", "r.parquet", "PAR1 hello PAR1", "r.parquet"),

@@ -19,6 +19,7 @@ from forked import copied
 from good_files import FILES
 from PIL import Image
 from pyarrow import parquet
+from recorded import as_named
 from synthetic import resting, synthetic_walk
 
 from surefoot.models.observer.observer import Observer, observer_of_torch
@@ -75,8 +76,7 @@ def inputs(tmp_path_factory) -> Path:
     walk = synthetic_walk(0, 30.0, noise=0.1, robot="spot_class")
     walk.write(folder / "walk.parquet")
     walk.frame.to_csv(folder / "walk.csv", index=False)
-    columns = "".join(f'{n} = "{n}"\n' for n in walk.frame)
-    (folder / "map.toml").write_text(f"[columns]\n{columns}")
+    (folder / "map.toml").write_text(as_named(walk.frame))
     resting(30.0).write(folder / "rest.parquet")
     observer = observer_of_torch(FILES / "observer_q_dq_gml.pt")
     replace(observer, robot="spot_class").save(folder / "observer.safetensors")

@@ -7,11 +7,13 @@ import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recorded import as_named
 from refusals import refusal, refused
 from scipy.spatial.transform import Rotation
+from written import written
 
 from studies.measured import measured_folder
-from surefoot.sim.importing.assemble import _rate
+from surefoot.sim.importing.clock import rate_of
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, Entries, read_columns
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.map_catalog import bundled_maps, map_file
@@ -233,7 +235,7 @@ def test_a_bundled_map_is_known_by_its_name(name):
 
 @pytest.mark.parametrize("t", [[0.0, 0.01], [0.0, 0.01, 0.02, 0.09]])
 def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
-    assert _rate(np.array(t)) == 100.0
+    assert rate_of(np.array(t)) == 100.0
 
 
 @pytest.mark.parametrize(
@@ -296,18 +298,13 @@ def test_a_cell_is_a_number_or_is_named(tmp_path, row, cell):
 
 
 @pytest.mark.parametrize(
-    ("of", "columns", "needs"),
-    [
-        ("torque", "", True),
-        ("kinematics", "", True),
-        ("torque", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', True),
-        ("kinematics", 'foot_left_x = "x"\nfoot_left_y = "y"\nfoot_left_z = "z"\n', False),
-    ],
+    ("of", "feet", "needs"),
+    [("torque", 1, True), ("kinematics", 0, True), ("kinematics", 1, False)],
 )
-def test_contacts_from_joints_need_a_robot(tmp_path, of, columns, needs):
+def test_contacts_from_joints_need_a_robot(tmp_path, of, feet, needs):
     """Those from kinematics do with the feet that a recording gives."""
-    path = tmp_path / "map.toml"
-    path.write_text(f'[columns]\nt = "t"\n{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
+    columns = as_named(("t", *(f"foot_left_{axis}" for axis in "xyz" * feet)))
+    path = written(tmp_path / "map.toml", f'{columns}[contact]\nof = "{of}"\non = 1\noff = 1\n')
     if needs:
         refused(rf"\[contact\] of {of} needs a \[robot\]", ImportMap.read, path)
     else:

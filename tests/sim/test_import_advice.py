@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 import pytest
+from recorded import POSE, SENSORS
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.ground.terrain import Ground
@@ -20,8 +21,6 @@ from surefoot.sim.robot.machine import machine_for_log
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.walk import walk
 
-SENSORS = [f"{name}_{axis}" for name in ("gyro", "accel") for axis in "xyz"]
-POSE = [f"ref_p_{axis}" for axis in "xyz"] + [f"ref_q_{axis}" for axis in "wxyz"]
 JOINT_COLUMNS = [f"{kind}_{joint}" for kind in ("q", "dq") for joint in JOINTS]
 
 

@@ -7,7 +7,6 @@ import struct
 import zipfile
 
 import h5py
-import lz4.frame
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -35,17 +34,6 @@ def hdf5(fill):
 def many_datasets(file):
     for k in range(MANY):
         file.create_dataset(f"c{k}", shape=(3,), dtype="f8")
-
-
-def many_names_of_one(file):
-    file["t"] = np.arange(3.0)
-    for k in range(MANY):
-        file[f"c{k}"] = file["t"]
-
-
-def many_references(file):
-    for k in range(MANY):
-        file.create_dataset(f"#refs#/{k}", shape=(3,), dtype="f8")
 
 
 def huge_strings(file):
@@ -81,8 +69,6 @@ def many_variables(path):
     ("name", "write", "read", "word"),
     [
         ("r.h5", hdf5(many_datasets), read_hdf5, "columns"),
-        ("r.h5", hdf5(many_names_of_one), read_hdf5, "columns"),
-        ("r.mat", hdf5(many_references), read_mat, "columns"),
         ("r.mat", hdf5(huge_strings), read_mat, "memory"),
         ("r.mat", hdf5(strings_elsewhere), read_mat, "another file"),
         ("r.npz", many_members, read_npz, "columns"),
@@ -100,23 +86,9 @@ def parquet(**columns):
     return lambda path: pq.write_table(pa.table(columns), path, compression="zstd")
 
 
-def lists(kind: pa.DataType, values: pa.Array, each: int) -> pa.Array:
-    offsets = np.arange(0, len(values) + 1, each, dtype=np.int32)
-    return pa.ListArray.from_arrays(offsets, values, type=pa.list_(kind))
-
-
-ZEROS = pa.array(np.zeros(400_000))
 SWOLLEN = {
-    "nothing in many columns": parquet(**{f"c{k}": pa.nulls(5000) for k in range(100)}),
-    "rows of one value": parquet(t=ZEROS),
-    "long lists": parquet(q=lists(pa.float64(), ZEROS, 4000)),
-    "short lists": parquet(q=lists(pa.float64(), ZEROS[:60_000], 1)),
-    "lists in lists": parquet(
-        q=lists(pa.list_(pa.float64()), lists(pa.float64(), ZEROS[:60_000], 1), 100)
-    ),
-    "lists in a record": parquet(
-        q=pa.StructArray.from_arrays([lists(pa.float64(), ZEROS, 4000)], ["a"])
-    ),
+    "rows of one value": parquet(t=np.zeros(400_000)),
+    "short lists": parquet(q=[[0.0]] * 60_000),
     "numbers of a thousand bytes": parquet(q=pa.array([bytes(1000)] * 4000, pa.binary(1000))),
     "a chunk of which a tenth is used": hdf5(
         lambda file: file.create_dataset("t", (10,), "f8", maxshape=(None,), chunks=(10**6,))
@@ -160,20 +132,6 @@ def test_lists_of_texts_are_left_out_of_parquet(tmp_path):
 
 
 MCAP = b"\x89MCAP0\r\n"
-METADATA = """rosbag2_bagfile_information:
-  version: 5
-  storage_identifier: sqlite3
-  duration: {nanoseconds: 1}
-  starting_time: {nanoseconds_since_epoch: 0}
-  message_count: 1
-  topics_with_message_count:
-    - topic_metadata: {name: /a, type: std_msgs/msg/Float64, serialization_format: cdr,
-                        offered_qos_profiles: ""}
-      message_count: 1
-  compression_format: ""
-  compression_mode: none
-  relative_file_paths: [w]
-"""
 
 
 @pytest.fixture(autouse=True)
@@ -203,8 +161,8 @@ def _message(time: int, content: bytes) -> bytes:
     return _record(5, struct.pack("<HIQQ", 1, 0, time, time) + b"\0\1\0\0" + content)
 
 
-def _chunk(content: bytes, compression: str = "", packed: bytes | None = None) -> bytes:
-    packed = content if packed is None else packed
+def _chunk(content: bytes, compression: str = "") -> bytes:
+    packed = zstd.compress(content) if compression else content
     about = struct.pack("<QQQI", 0, 1000, len(content), 0) + _text(compression)
     return _record(6, about + struct.pack("<Q", len(packed)) + packed)
 
@@ -214,14 +172,6 @@ def records(*parts: bytes, summary: bytes = b"") -> bytes:
     body = MCAP + _record(1, _text("ros2") + struct.pack("<I", 0)) + b"".join(parts)
     at = len(body) if summary else 0
     return body + summary + _record(2, struct.pack("<QQI", at, 0, 0)) + MCAP
-
-
-def packed_chunk(compression: str) -> bytes:
-    """A chunk of forty thousand equal messages."""
-    content = _message(1, bytes(8)) * 40_000
-    pack = {"lz4": lz4.frame.compress, "zstd": zstd.compress}[compression]
-    head = _definition("float64 x\n") + _channel()
-    return records(head, _chunk(content, compression, pack(content)))
 
 
 def circle() -> bytes:
@@ -262,11 +212,9 @@ def test_what_a_bag_holds_is_bounded(tmp_path, monkeypatch, content, word):
     assert "r.mcap" in caught
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd"])
-def test_messages_that_are_packed_far_smaller_are_refused_in_total(
-    tmp_path, monkeypatch, compression
-):
-    (tmp_path / "r.mcap").write_bytes(packed_chunk(compression))
+def test_messages_that_are_packed_far_smaller_are_refused_in_total(tmp_path, monkeypatch):
+    chunk = _chunk(_message(1, bytes(8)) * 40_000, "zstd")
+    (tmp_path / "r.mcap").write_bytes(records(_definition("float64 x\n"), _channel(), chunk))
     monkeypatch.setenv(limits.VARIABLE, "unpacked=1000")
     assert len(read_bag(tmp_path / "r.mcap").cells["/a1:x"]) == 40_000
     monkeypatch.setenv(limits.VARIABLE, "unpacked=20")
@@ -281,7 +229,7 @@ def test_a_file_that_is_too_large_is_not_opened(tmp_path, monkeypatch):
 
 def folder_of(path):
     path.mkdir()
-    (path / "metadata.yaml").write_text(METADATA)
+    (path / "metadata.yaml").write_text("relative_file_paths: [w]\n")
 
 
 def test_a_pipe_in_the_folder_of_a_bag(tmp_path):

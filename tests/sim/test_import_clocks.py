@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import csv, drafted
+from recorded import POSE, SENSORS, UNIX, as_named, csv, drafted, poses
 from refusals import refusal, refused
 from written import written
 
@@ -15,15 +15,9 @@ from surefoot.sim.log import Log
 from surefoot.sim.plausibility import check_log
 
 N, STEP = 400, 0.01
-SENSORS = [f"{name}_{axis}" for name in ("gyro", "accel") for axis in "xyz"]
-COLUMNS = "[columns]\nt = { column = 't', unit = 'UNIT' }\n" + "".join(
-    f'{name} = "{name}"\n' for name in (*SENSORS, "q_knee", "dq_knee")
-)
-POSE = [f"ref_p_{axis}" for axis in "xyz"] + [f"ref_q_{axis}" for axis in "wxyz"]
-REFERENCE = "[reference]\nfile = 'mocap.csv'\nOFFSET\n[reference.columns]\n" + "".join(
-    f'{name} = "{name}"\n' for name in ("t", *POSE)
-)
-UNIX = 1_700_000_000
+COLUMNS = as_named((*SENSORS, "q_knee", "dq_knee")) + "t = { column = 't', unit = 'UNIT' }\n"
+REFERENCE = "[reference]\nfile = 'mocap.csv'\nOFFSET\n"
+REFERENCE += as_named(("t", *POSE), "reference.columns")
 
 
 def table(t=None, count=N) -> pd.DataFrame:
@@ -35,11 +29,6 @@ def table(t=None, count=N) -> pd.DataFrame:
     frame["q_knee"] = np.sin(6.0 * STEP * np.arange(len(t)))
     frame["dq_knee"] = 6.0 * np.cos(6.0 * STEP * np.arange(len(t)))
     return frame
-
-
-def poses(t) -> pd.DataFrame:
-    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
-    return frame.assign(ref_p_x=np.arange(len(t)) * 1e-3, ref_q_w=1.0)
 
 
 def read(folder: Path, frame: pd.DataFrame, unit="s", mocap=None, offset="") -> tuple[Log, str]:
@@ -160,7 +149,7 @@ def test_a_clock_that_was_set_is_told_from_rows_that_are_missing(tmp_path, case)
     frame = table(t)
     if len(t) < N:
         frame["q_knee"] = np.sin(6.0 * t)
-    mocap = None if of_reference is None else poses(of_reference)
+    mocap = None if of_reference is None else poses(of_reference, 1e-3)
     log, notes = read(tmp_path, frame, mocap=mocap)
     assert [one in notes for one in noted] == [True] * len(noted), notes
     assert ("left out" in notes) == bool(noted)
@@ -172,7 +161,7 @@ def test_a_clock_that_was_set_is_told_from_rows_that_are_missing(tmp_path, case)
 
 
 def test_a_reference_and_a_further_file_lose_single_rows_too(tmp_path):
-    mocap = poses(STEP * np.arange(N))
+    mocap = poses(STEP * np.arange(N), 1e-3)
     mocap = pd.concat([mocap[:100], mocap[99:]], ignore_index=True)
     mocap.loc[200, "t"] = 0.0
     feet = pd.DataFrame({"t": STEP * np.arange(N), "on": 1.0})
@@ -198,7 +187,7 @@ def test_clocks_that_count_from_an_epoch_are_rebased(tmp_path, unit, clocks):
     steps = np.arange(N) * round(STEP * 1000) * size // 1000 if size > 1 else STEP * np.arange(N)
     frame = table(UNIX * size + steps if clocks != "the reference's" else 37 * size + steps)
     seen = STEP * np.arange(50, N - 50)
-    mocap = poses(seen + UNIX if clocks != "the robot's" else seen)
+    mocap = poses(seen + UNIX if clocks != "the robot's" else seen, 1e-3)
     offset = {"both": 0, "the robot's": UNIX, "the reference's": 37 - UNIX}[clocks]
     log, notes = read(tmp_path, frame, unit, mocap, f"offset = {float(offset):.1f}")
     begin = 37.0 if clocks == "the reference's" else 0.0

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import csv, imported, saved
+from recorded import as_named, csv, imported, saved
 from refusals import refused
 from scipy.spatial.transform import Rotation
 from written import written
@@ -22,7 +22,6 @@ from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.json_file import read_json
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings
-from surefoot.sim.importing.readers.text import _separator
 from surefoot.sim.importing.recording import import_log, read_recording
 from surefoot.sim.importing.report import import_lines
 from surefoot.sim.importing.sections import Source
@@ -44,7 +43,7 @@ READINGS = {
     "accel_z": 9.81 + 0.1 * np.sin(T),
     "q_knee": 0.5 + T,
 }
-PLAIN = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in READINGS)
+PLAIN = as_named(READINGS)
 LISTS = '[columns]\nt = "t"\nq_knee = "q[0]"\n' + "".join(
     f'{kind}_{axis} = "{kind}[{k}]"\n' for kind in ("gyro", "accel") for k, axis in enumerate("xyz")
 )
@@ -278,8 +277,7 @@ def test_uneven_stamps_and_held_readings_are_said_and_made_even_on_demand(tmp_pa
 def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path):
     robot = Robot.load("spot_class")
     columns = {"t": 0.01 * np.arange(5)} | {f"q_{j}": np.zeros(5) for j in robot.limbs.joints}
-    rules = "[columns]\n" + "".join(f'{n} = "{n}"\n' for n in columns)
-    rules += '[robot]\nname = "spot_class"\n'
+    rules = as_named(columns) + '[robot]\nname = "spot_class"\n'
     for given, radius in (("", robot.foot_radius), ("foot_radius = 0.0\n", 0.0)):
         log = imported(csv(tmp_path, columns), rules + given)
         np.testing.assert_allclose(Robot.for_log(log).foot_radius, radius)
@@ -290,8 +288,8 @@ def test_without_a_radius_in_the_map_the_robots_own_counts_and_is_said(tmp_path)
 def test_a_given_robot_takes_the_place_of_the_maps(tmp_path):
     joints = Robot.load("spot_class").limbs.joints
     columns = {"t": 0.01 * np.arange(5)} | {f"q_{j}": np.zeros(5) for j in joints}
-    text = "".join(f'{n} = "{n}"\n' for n in columns)
-    rules = written(tmp_path / "map.toml", f'[columns]\n{text}[robot]\nname = "not_installed"\n')
+    text = as_named(columns) + '[robot]\nname = "not_installed"\n'
+    rules = written(tmp_path / "map.toml", text)
     run = csv(tmp_path, columns)
     refused(r"map.toml: \[robot\] name: .*not_installed", import_log, run, rules)
     assert import_log(run, rules, "go1_class").meta.robot == "go1_class"
@@ -305,10 +303,9 @@ def test_a_given_robot_takes_the_place_of_the_maps(tmp_path):
 def test_contacts_follow_from_torques_and_from_kinematics(log, tmp_path, of):
     starts = ("t", "gyro", "accel", "q_", "tau_")
     kept = [c for c in log.frame if c.startswith(starts) and "_des" not in c and "_ff" not in c]
-    rules = "[columns]\n" + "".join(f'{name} = "{name}"\n' for name in kept)
     sizes = {"torque": "on = 85\noff = 85", "kinematics": "on = 0.3\noff = 0.3"}[of]
-    rules += f'[robot]\nname = "spot_class"\n[contact]\nof = "{of}"\n{sizes}\n'
-    found = imported(csv(tmp_path, log.frame[kept]), rules)
+    rule = f'[robot]\nname = "spot_class"\n[contact]\nof = "{of}"\n{sizes}\n'
+    found = imported(csv(tmp_path, log.frame[kept]), as_named(kept) + rule)
     assert f"contact from {of}" in found.meta.derived
     assert found.legs == log.legs
     # Rules of thumb: an early swing is slow, and a leg that swings has torque of its own.
@@ -392,20 +389,6 @@ def test_a_file_of_several_episodes_is_refused_in_one_line(tmp_path, form, turne
     refused("gyro is of 2 episodes or robots of 9 rows", read_file, run, Source())
 
 
-@pytest.mark.parametrize("deep", [20, 21])
-def test_lists_are_found_within_twenty_records(tmp_path, deep):
-    """No recording is deeper, and nothing is searched without an end."""
-    names = [f"k{k}" for k in range(deep)]
-    text = json.dumps([0.0, 1.0])
-    for name in reversed(names):
-        text = f'{{"{name}": {text}}}'
-    (tmp_path / "run.json").write_text(text)
-    if deep > 20:
-        refused("no records and no lists", read_json, tmp_path / "run.json")
-    else:
-        assert read_json(tmp_path / "run.json").cells[".".join(names)].tolist() == [0.0, 1.0]
-
-
 def test_objects_of_matlab_are_not_read(tmp_path):
     """A timeseries is six numbers that point to where MATLAB hides its arrays."""
     with h5py.File(tmp_path / "run.mat", "w") as file:
@@ -419,29 +402,10 @@ def test_objects_of_matlab_are_not_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("line", "separator"),
-    [
-        ("1,5 2,25 3", r"\s+"),
-        ("1,5 -2 3", r"\s+"),
-        ("1.5, 2.25, 3", ","),
-        ("1.5,2.25,3", ","),
-        ("1,5;2,25;3", ";"),
-        ("1.5\t2.25", "\t"),
-        ("1.5 2.25 3", r"\s+"),
-    ],
-)
-def test_a_comma_beside_another_separator_is_a_decimal_comma(line, separator):
-    assert _separator(line) == separator
-
-
-@pytest.mark.parametrize(
     ("shapes", "rows", "parameters"),
     [
-        ({"t": (9,), "q": (6, 9)}, {"t": 9, "q": 9}, ()),
-        ({"t": (9,), "q": (9, 6)}, {"t": 9, "q": 9}, ()),
         ({"q": (9, 6)}, {"q": 9}, ()),
         ({"q": (6, 9)}, {"q": 9}, ()),
-        ({"q": (99, 12), "kp": (12,)}, {"q": 99}, ("kp",)),
         ({"q": (99, 12), "limits": (12, 2), "kp": (1, 12)}, {"q": 99}, ("limits", "kp")),
         ({"imu": (500, 3), "q": (99, 12), "kd": (12,)}, {"imu": 500, "q": 99}, ("kd",)),
         ({"force": (99, 4, 3), "mass": (4,), "g": (3,)}, {"force": 99}, ("mass", "g")),
@@ -455,16 +419,8 @@ def test_rows_are_the_axis_that_the_arrays_share(shapes, rows, parameters):
     assert left == parameters
 
 
-@pytest.mark.parametrize("form", ["npz", "npy", "mat", "h5"])
-def test_complex_numbers_are_refused_by_column(tmp_path, form):
+def test_complex_numbers_are_refused_by_column(tmp_path):
     """Not read without their imaginary part."""
-    t, path = np.arange(100) / 100.0, tmp_path / f"run.{form}"
-    columns = {"t": t, "turn": np.exp(1j * t)}
-    if form == "npy":
-        kinds = [(name, values.dtype) for name, values in columns.items()]
-        np.save(path, np.rec.fromarrays(list(columns.values()), dtype=kinds))
-    else:
-        saved(path, columns)
-    prefix = "array." if form == "npy" else ""
-    rules = f'[columns]\nt = "{prefix}t"\nx_turn = "{prefix}turn"\n'
-    refused(f"run.{form}: column '{prefix}turn' .*complex", imported, path, rules)
+    run = saved(tmp_path / "run.npz", {"t": T, "turn": np.exp(1j * T)})
+    rules = '[columns]\nt = "t"\nx_turn = "turn"\n'
+    refused("run.npz: column 'turn' .*complex", imported, run, rules)

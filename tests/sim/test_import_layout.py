@@ -10,7 +10,6 @@ from written import written
 
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.readers.text import encoding_of, layout_of
-from surefoot.sim.log import JOINTS
 
 N = 400
 T = 0.01 * np.arange(N)
@@ -44,6 +43,7 @@ def read(folder, *files):
         ("", {}, {}),
         ("", {"sep": "\t"}, {}),
         ("", {"sep": ";", "decimal": ","}, {"separator": ";", "decimal": ","}),
+        ("", {"sep": " ", "decimal": ","}, {"separator": r"\s+", "decimal": ","}),
         ("", {"quoting": 1}, {}),
         ("# a robot\n# and its day\n", {}, {"skip": 2}),
         ("Recorded by hand\nDay;3\n\n", {"sep": ";"}, {"skip": 3}),
@@ -71,14 +71,6 @@ def test_a_reference_that_was_never_recorded_at_once_has_another_clock(tmp_path,
     csv(tmp_path, POSE.assign(t=T + later).add_prefix("vicon_"), "truth.csv")
     draft = guess_map([tmp_path / "imu.csv", tmp_path / "truth.csv"])
     assert any("the reference's clock is another" in note for note in draft.notes) == asked
-
-
-def test_joints_without_names_are_the_robots_in_its_order_and_asked_about(tmp_path):
-    angles = {f"q_{k}": 0.1 * np.sin(T + k) for k in range(12)}
-    draft = guess_map([csv(tmp_path, {"t": T} | angles)], "spot_class")
-    found = {(e.name, e.theirs, e.doubt) for e in draft.main if e.name != "t"}
-    asked = "are its joints in the order of spot_class?"
-    assert found == {(f"q_{one}", name, asked) for one, name in zip(JOINTS, angles, strict=True)}
 
 
 def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_say(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import check_entries, csv, entries_of, imported, saved
+from recorded import POSE, UNIX, as_named, check_entries, csv, entries_of, imported, poses, saved
 from refusals import refusal
 from written import written
 
@@ -18,14 +18,12 @@ from surefoot.sim.log import JOINTS, LEGS
 
 N = 200
 T = 0.01 * np.arange(1, N + 1)
-UNIX = 1_700_000_000
 GYRO = 0.3 * np.sin(2.0 * T[:, None] + np.arange(3))
 ACCEL = np.column_stack([0.1 * np.sin(T), 0.1 * np.cos(T), 9.81 + 0.0 * T])
 ANGLES = np.tile([0.0, 0.8, -1.5], 4) + 0.2 * np.sin(6.0 * T[:, None] + np.arange(12))
 RNG = np.random.default_rng(0)
 IMU = {f"gyro_{a}": GYRO[:, k] for k, a in enumerate("xyz")}
 IMU |= {f"acc_{a}": ACCEL[:, k] for k, a in enumerate("xyz")}
-POSE = ["ref_p_x", "ref_p_y", "ref_p_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z"]
 NAMES = [f"{joint}_joint" for joint in reversed(JOINTS)]
 
 
@@ -39,11 +37,6 @@ def npz(folder: Path, **arrays) -> Path:
 
 def h5(folder: Path, **arrays) -> Path:
     return saved(folder / "run.h5", arrays)
-
-
-def poses(t) -> pd.DataFrame:
-    frame = pd.DataFrame({"t": t} | dict.fromkeys(POSE, 0.0))
-    return frame.assign(ref_p_x=0.1 * np.arange(len(t)), ref_q_w=1.0)
 
 
 SECONDS, NANOSECONDS = (UNIX + T).astype(int), np.round(T % 1.0 * 1e9).astype(int) % 10**9
@@ -75,7 +68,7 @@ WHEELS = [*NAMES, *(f"{k}_wheel" for k in range(8))]
 FEET = {f"footForce[{k}]": 100.0 + T for k in range(4)}
 COUNTS = {n: 900.0 * x for n, x in IMU.items()}
 COUNTS |= {f"gyro_{a}": RNG.normal(0.0, 200.0, N) for a in "xyz"}
-FRAMES = poses(T).rename(columns={"t": "Frame"}).assign(Frame=np.arange(N))
+FRAMES = poses(T, 0.1).rename(columns={"t": "Frame"}).assign(Frame=np.arange(N))
 UNLISTED = "has {} names, not 12"
 STANDS = (np.sin(9.0 * T[:, None] + np.arange(4)) > 0.0).astype(float)
 GYM = {"time": T[None, :, None], "imu_gyro": GYRO[None], "contact_state": STANDS[None]}
@@ -258,23 +251,22 @@ def test_a_text_that_is_no_single_table_is_refused_with_file_and_line(tmp_path, 
     assert re.search(rf"line {number}\b", message), message
 
 
-MAP = (
-    "[columns]\nt = 't'\nx_speed = 'speed'\n[reference]\nfile = 'mocap.csv'\n[reference.columns]\n"
-)
+MAP = "[columns]\nt = 't'\nx_speed = 'speed'\n[reference]\nfile = 'mocap.csv'\n"
+MAP += as_named(("t", *POSE), "reference.columns")
 
 
 def with_mocap(folder: Path, robot: np.ndarray, mocap: pd.DataFrame):
     csv(folder, mocap, "mocap.csv")
     run = csv(folder, {"t": robot, "speed": np.sin(robot)})
-    return imported(run, MAP + "".join(f"{n} = '{n}'\n" for n in ("t", *POSE)))
+    return imported(run, MAP)
 
 
 def test_stamps_in_another_unit_than_the_reference_are_named(tmp_path):
-    assert "unit" in refusal(with_mocap, tmp_path, 1e3 * T + 1e4, poses(T))
+    assert "unit" in refusal(with_mocap, tmp_path, 1e3 * T + 1e4, poses(T, 0.1))
 
 
 def test_a_tracker_that_lost_the_body_leaves_a_gap(tmp_path):
-    frame = poses(T)
+    frame = poses(T, 0.1)
     frame.loc[80:110, POSE] = 0.0
     log = with_mocap(tmp_path, T, frame)
     assert 0 < np.sum(log.frame["ref_ok"] == 0.0) < 40

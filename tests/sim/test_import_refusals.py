@@ -138,20 +138,6 @@ def test_cells_of_numbers_are_within_the_limits_of_memory(tmp_path, monkeypatch)
     assert len(imported(written(tmp_path / "a.csv", CSV), TIMES + 'x_k = "gyro_x"\n').t) == 40
 
 
-def test_the_first_word_among_numbers_is_named(tmp_path):
-    path = written(tmp_path / "a.csv", "t\n1\n" + "no\n" * 5)
-    refused("line 3: 'no' is not a number", imported, path, TIMES)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["t,state,x\n" + "0.1,stance,2\n0.2,swing,3\n" * 20, "t x\n" + "0.1 2\n0.2 3\n" * 20,
-     "signal,value\n" + "gyro,0.1\nknee,0.2\n" * 20],
-)  # fmt: skip
-def test_a_table_with_words_is_a_table(tmp_path, text):
-    guess_map([written(tmp_path / "log.csv", text)])
-
-
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
     """An IMU for a second, as each kind of bag."""

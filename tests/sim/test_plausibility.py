@@ -185,12 +185,6 @@ def euler_angles(log: Log, read: Callable[..., tuple[np.ndarray, ...]]) -> Log:
     )
 
 
-def of_another_point(log: Log, *p_IM: float) -> Log:
-    R = log.ref_R_GI
-    turning = np.einsum("nij,nj->ni", R, np.cross(log.gyro, p_IM))
-    return vectors(log, ref_p=log.ref_p + R @ p_IM, ref_v=log.ref_v + turning)
-
-
 def leg_odometry(log: Log) -> Log:
     """The reference's positions as legs and gyro have them."""
     feet, on = SPOT.feet_I(log.q), log.contact[:, :, None]
@@ -274,7 +268,6 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "gyro with z of the wrong sign": ("gyro_z", np.negative, "gyro", "gyro_z: z is -z"),
     "gyro scaled": ("gyro", times(1.4), "gyro", "1.4 times as fast"),
     "a weak axis": ("gyro_z", times(0.3), "gyro", "gyro_z: scaled"),
-    "gyro biased": ("gyro_z", plus(0.8), "gyro", "gyro_z: a bias"),
     "gyro that drifts": (
         "gyro_z", lambda x: x + np.linspace(0.0, 0.6, len(x)), "gyro", "rad/s off"),
     "gyro saturated": ("gyro_x", clipped, "saturated", "gyro_x"),
@@ -287,13 +280,12 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "spikes in the gyro": ("gyro_x", leaping(20.0), "spikes", "gyro_x"),
     "accelerometer in mg": ("accel", times(1e3 / G), "gravity", 'unit = "mg"'),
     "accelerometer in mm/s^2": ("accel", times(1e3), "gravity", "in mm/s^2"),
-    "accelerometer's z negated": ("accel_z", np.negative, "gravity", "accel_z: wrong sign"),
+    "accelerometer biased": ("accel_x", plus(1.0), "accelerometer", "accel_x: a bias"),
     "accelerometer scaled": ("accel", times(1.2), "gravity", "scaled by 1.2"),
     "gravity of the wrong sign": ("accel_z", plus(-19.62), "gravity", "offset = 19.62"),
     "accelerometer that is noise": ("accel", noisy(4.0), "noise", "accel_x, accel_y, accel_z"),
     "accelerometer dropped to zero": ("accel", zeroed, "spikes", "drop-outs"),
     "angles in deg": ("q_", times(DEGREE), "joints' unit", 'unit = "deg"'),
-    "angles and rates in deg": ("(q|dq)_", times(DEGREE), "joints' unit", 'unit = "deg"'),
     "rates in deg/s": ("dq_", times(DEGREE), "joint rates", 'unit = "deg/s"'),
     "a rate of the wrong sign": (
         "dq_FL_calf", np.negative, "joint rates", "dq_FL_calf: wrong sign"),
@@ -305,18 +297,15 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "a joint frozen": ("q_FL_calf", frozen, "frozen", "q_FL_calf"),
     "an angle within a turn": (
         "q_FL_calf", lambda x: (x - np.median(x)) % (2.0 * np.pi), "overflow", "wrap = 6.28"),
-    "joints dropped to zero": ("q_", zeroed, "spikes", "drop-outs"),
     "a leg disconnected for a while": (
         f"{JOINTS}RL", disconnected, "spikes", "q_RL_hip, q_RL_thigh, q_RL_calf"),
     "joints between a few readings": (
         "(q|dq)_", straight(5), "interpolated", "readings at 100 Hz"),
-    "hips of the wrong sign": (f"{JOINTS}.._hip", np.negative, "legs", "FL_hip = -1"),
     "right hips mirrored": (
         f"{JOINTS}.R_hip", np.negative, "legs", "q_FR_hip, q_RR_hip: wrong sign"),
     "a hip's wrong zero": ("q_RL_hip", plus(0.2), "zeros", "q_RL_hip, q_RR_hip"),
     "a wrong zero": ("q_FL_thigh", plus(0.4), "zeros", "q_FL_thigh, q_FR_thigh"),
     "all calves from another zero": ("q_.._calf", plus(0.3), "legs", "-0.3 rad added"),
-    "all thighs from another zero": ("q_.._thigh", plus(-0.2), "legs", "+0.2 rad added"),
     "torques in mN m": ("tau_", times(1e3), "torque", 'unit = "mN m"'),
     "torques negated": ("tau_", np.negative, "joint torques", "wrong sign"),
     "a torque of the wrong sign": (
@@ -326,15 +315,15 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "a contact stuck for a while": ("contact_RR", frozen, "contacts", "contact_RR"),
     "a contact that misses steps": (
         "contact_FR", every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
-    "positions in mm": ("ref_p", times(1e3), "reference's unit", 'unit = "mm"'),
     "positions with z down": (
         "ref_[pv]_z", np.negative, "accelerometer", "ref_p_z: z is down"),
     "reference at 5 Hz": ("ref_p", straight(100), "interpolated", "ref_p_x"),
     "reference frozen": ("ref_", frozen, "frozen", "ref_p_x to ref_v_z"),
     "reference scaled": (
         "ref_[pv]", times(1.2), "reference's motion", "times that of the accelerometer"),
-    "spikes in the reference": ("ref_p_x", leaping(1.0), "spikes", "ref_p_x"),
     "velocities in mm/s": ("ref_v", times(1e3), "reference's velocity", 'unit = "mm/s"'),
+    "velocities of the wrong sign": (
+        "ref_v_y", np.negative, "reference's velocity", "ref_v_y: y is -y"),
     "velocities in km/h": ("ref_v", times(3.6), "reference's velocity", "in km/h"),
     "no velocity along an axis": (
         "ref_v_x", np.zeros_like, "frozen", "ref_v_x: a sensor that hangs"),
@@ -363,7 +352,6 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         lambda log: vectors(log, accel=np.einsum("nij,nj->ni", log.ref_R_GI, log.accel)),
         "accelerometer", "in the world's axes"),
     "IMU turned by 30 deg": (partial(imu_turned, R=turned("z", 30)), "gyro", "the IMU is turned"),
-    "IMU with z down": (partial(imu_turned, R=NED), "gravity", "accel_z"),
     "an axis read twice": (
         lambda log: log.with_columns({"gyro_y": log.columns["gyro_x"]}),
         "copied", "gyro_x, gyro_y"),
@@ -373,18 +361,12 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "rates swapped": (
         exchanged(("dq_FL_thigh", "dq_FL_calf")),
         "joint rates", "the rate of FL_calf"),
-    "rates from differences": (
-        partial(differenced, pattern="dq_"), "derived", "computed from q"),
     "a rate from differences": (
         partial(differenced, pattern="dq_FR_calf"), "derived", "dq_FR_calf: computed from q"),
     "velocities in the body": (velocity_in_body, "reference's velocity", "in the body's axes"),
-    "quaternions x, y, z, w": (
-        lambda log: attitude(log, lambda R: Rotation.from_quat(R.as_quat(), scalar_first=True)),
-        "reference's attitude", "order is x, y, z, w"),
     "north-east-down": (
         lambda log: body_turned(in_world(log, NED), NED),
         "reference's attitude", "z down"),
-    "the world's z down": (partial(in_world, R_WG=NED), "reference's attitude", "z down"),
     "a heading that turns clockwise": (
         partial(euler_angles, read=lambda yaw, pitch, roll: (-yaw, pitch, roll)),
         "reference's attitude", "heading turns clockwise"),
@@ -396,30 +378,18 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         "accelerometer", "x is y"),
     "reference's positions turned": (
         partial(positions_turned, R=turned("z", 30)), "reference's motion", "30 deg about z"),
-    "reference's world not level": (
-        partial(in_world, R_WG=turned("x", 12)), "accelerometer", "not level"),
     "reference that sinks": (sinking, "legs", "sinks by 0.30 m/s"),
-    "reference of a point before the IMU": (
-        lambda log: of_another_point(log, 0.5, 0.0, 0.0),
-        "reference's point", "of a point at (0.5"),
-    "reference of a point above the IMU": (
-        lambda log: of_another_point(log, 0.0, 0.0, 0.5),
-        "reference's point", "0.50) m in the IMU's axes"),
     "reference made of the legs": (leg_odometry, "reference from legs", "computed from the legs"),
     "legs swapped, left and right": (
         exchanged(("_FL", "_FR"), ("_RL", "_RR")),
         "legs", "FL is FR, FR is FL, RL is RR"),
-    "legs swapped, front and rear": (
-        exchanged(("_FL", "_RL"), ("_FR", "_RR")), "legs", "FL is RL, FR is RR"),
     "two legs swapped": (exchanged(("_FL", "_FR")), "legs", "FL is FR, FR is FL"),
     "joints of two legs swapped": (
         exchanged(("q_FL", "q_FR"), ("tau_FL", "tau_FR")),
         "legs", "swapped legs (joints)"),
-    "contacts of two legs swapped": (
-        exchanged(("contact_FL", "contact_FR")),
-        "legs", "swapped legs (contacts)"),
-    "hips and thighs swapped": (exchanged(("_hip", "_thigh")), "legs", "hip is thigh"),
     "thighs and calves swapped": (exchanged(("_thigh", "_calf")), "legs", "thigh is calf"),
+    "contacts inverted": (
+        partial(changed, pattern="contact_", change=lambda x: 1.0 - x), "legs", "1 means lifted"),
     "contacts that flicker": (noisy_contacts, "flickering", "debounce"),
     "a second lost": (partial(dropped, rows=slice(1000, 1500)), "rows", "500 rows missing"),
     "every twentieth row lost": (partial(dropped, rows=20), "single rows", "lost rows"),
@@ -429,8 +399,6 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
     "time reversed": (
         lambda log: reordered(log, np.arange(len(log.t))[::-1]),
         "speed of time", "time runs backwards"),
-    "time at half its speed": (
-        partial(stretched, factor=2.0), "speed of time", "2 times the change"),
     "time at 1.25 of its speed": (
         partial(stretched, factor=0.8), "speed of time", "stamps at a wrong rate"),
     "time in ms": (partial(stretched, factor=1e3), "rows", 'unit = "ms"'),
@@ -517,23 +485,20 @@ def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahea
 
 def test_a_clean_walk_is_plausible_with_and_without_its_robot_and_reference(log):
     assert found_in(log) == found_in(log, None) == found_in(without(log, "ref_")) == []
-
-
-def test_the_beginning_of_a_walk_is_plausible(log):
-    """Its joints rest for a second, between two counts of their encoders."""
+    # In its beginning, joints rest for a second, between two counts of their encoders.
     assert found_in(log.rows(log.t < 1.5)) == []
 
 
-@pytest.mark.parametrize("rate", [5.0, 6.0, 8.0, 10.0, 12.5, 20.0, 25.0, 50.0])
-def test_rows_of_a_low_rate_are_plausible(log, rate):
-    """Averages lag by half a row, and trapezoids miss what lies between samples."""
-    assert found_in(at_rate(log, rate)) == []
-    assert found_in(without(at_rate(log, rate), "ref_")) == []
+LOW_RATES = [(x, 0) for x in (5.0, 6.0, 8.0, 10.0, 12.5, 20.0, 25.0, 50.0)]
 
 
-@pytest.mark.parametrize(("rate", "first"), [(8.0, 21), (8.0, 33), (10.0, 13), (12.5, 7)])
+@pytest.mark.parametrize(
+    ("rate", "first"), [*LOW_RATES, (8.0, 21), (8.0, 33), (10.0, 13), (12.5, 7)]
+)
 def test_rows_of_a_low_rate_are_plausible_wherever_in_a_stride_they_are(log, rate, first):
-    assert found_in(at_rate(log.rows(np.arange(len(log.t)) >= first), rate)) == []
+    """Averages lag by half a row, and trapezoids miss what lies between samples."""
+    slow = at_rate(log.rows(np.arange(len(log.t)) >= first), rate)
+    assert found_in(slow) == found_in(without(slow, "ref_")) == []
 
 
 @pytest.mark.parametrize("rate", [8.0, 10.0, 20.0, 25.0, 50.0])

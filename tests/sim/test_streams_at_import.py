@@ -6,7 +6,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import surefoot.sim.plausibility.comparison as comparison_module
 from surefoot.sim.importing.streams import held_streams
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.plausibility import check_log
@@ -92,15 +91,6 @@ def test_pauses_without_rows_are_not_filled_with_them(stamps, close):
     tracemalloc.stop()
     assert delay == pytest.approx(8e-3, abs=close)
     assert most < 5e6
-
-
-def test_a_peak_without_a_bend_lies_at_a_whole_row(monkeypatch):
-    """What rounding has flattened says nothing of parts of a row."""
-    alike = iter([1.0, 0.8, 0.9, np.nextafter(1.0, 0.0), 1.0, 1.0, *np.linspace(0.9, 0.0, 99)])
-    monkeypatch.setattr(comparison_module, "_standardised", lambda x: next(alike))
-    rows = 400.0 * delay_between(T, angle(T)[:, None], angle(T)[:, None], 0.05)
-    assert rows == pytest.approx(np.rint(rows), abs=1e-6)
-    assert rows < -10.0
 
 
 @pytest.mark.parametrize("late", [8e-3, -6e-3, 0.0])

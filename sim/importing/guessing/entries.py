@@ -18,6 +18,7 @@ from surefoot.sim.importing.guessing.units import (
     unit_of_gyro,
     unit_of_rates,
     unit_of_travels,
+    usual_size,
 )
 from surefoot.sim.log.schema import JOINTS, LEGS, joint_prefix
 
@@ -323,7 +324,7 @@ def _entries_alike(
             rate = rows or rate
         else:
             unit = force
-            most = max(float(np.quantile(np.abs(v), 0.99)) for v in readings.values())
+            most = usual_size(readings.values())
             doubt = f"are these {unit}, or current?" if most > 300.0 else ""
             if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
                 prefix, unit = f"x_{kind}", None
@@ -393,32 +394,14 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
 def _missing_feet(
     file: RecordedFile, found: Mapping[str, Named], entries: Mapping[str, Entry]
 ) -> list[str]:
-    """Questions where only some of the feet have a column of a kind: there is no other for a leg of
-    the robot, or there are columns with one more word, which may be a leg's.
-    """
-    known = file.machine.limbs.legs if file.machine is not None else ()
+    """Questions where only some of a robot's feet, or a quadruped's, have a column of a kind."""
+    known = {*(file.machine.limbs.legs if file.machine is not None else LEGS)}
     asked = []
     for kind in ("contact", "force", "foot"):
-        used = {e.theirs for e in entries.values() if found[e.theirs].kind == kind}
-        there = {found[name].leg for name in used}
-        stems = {(found[name].source, *found[name].stem.split()) for name in used}
-        alike = [
-            name
-            for name, one in found.items()
-            if one.kind == kind and not one.leg and _with_a_word_less(one) & stems
-        ]
-        if used and (alike or there < {*known}):
-            others = f", as {', '.join(alike)}" if alike else ""
-            asked.append(
-                f"{kind} of {', '.join(sorted(there))} alone: which are the others{others}?"
-            )
+        there = {found[e.theirs].leg for e in entries.values() if found[e.theirs].kind == kind}
+        if there and there < known:
+            asked.append(f"{kind} of {', '.join(sorted(there))} alone: which are the others?")
     return asked
-
-
-def _with_a_word_less(one: Named) -> set[tuple[str, ...]]:
-    """Source and stem of a name, without one of its words."""
-    words = one.stem.split()
-    return {(one.source, *words[:k], *words[k + 1 :]) for k in range(len(words))}
 
 
 def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, str]:

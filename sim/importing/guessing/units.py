@@ -32,12 +32,17 @@ _ASSUMED_STEP = 0.005
 """
 
 
+def usual_size(values: Iterable[np.ndarray]) -> float:
+    """Magnitude that one value in a hundred exceeds, of the largest of some columns (N,)."""
+    return max((float(np.quantile(np.abs(x), 0.99)) for x in values), default=0.0)
+
+
 def unit_of_angles(values: Iterable[np.ndarray], named: set[str]) -> tuple[str, str]:
     """Unit of angles, each (N,), and a doubt; `named` are the units in the columns' names."""
     for unit in ("deg", "rad"):
         if unit in named:
             return unit, ""
-    most = max((float(np.quantile(np.abs(v), 0.99)) for v in values), default=0.0)
+    most = usual_size(values)
     if most > 800.0:
         return "rad", f"reaches {most:.3g}: counts, with which gain?"
     if most > _LARGEST_ANGLE:
@@ -50,8 +55,7 @@ def unit_of_travels(values: Iterable[np.ndarray], named: set[str]) -> tuple[str,
     for unit in UNITS["foot"]:
         if unit in named:
             return unit, ""
-    most = max((float(np.quantile(np.abs(v), 0.99)) for v in values), default=0.0)
-    return ("m", "") if most < _LONGEST_TRAVEL else ("mm", "mm or cm?")
+    return ("m", "") if usual_size(values) < _LONGEST_TRAVEL else ("mm", "mm or cm?")
 
 
 def unit_of_rates(
@@ -73,8 +77,7 @@ def unit_of_rates(
     """
     first = next(iter(units))
     if not angles:
-        most = max(float(np.quantile(np.abs(v), 0.99)) for v in rates)
-        unit, other = ("rad/s", "deg/s") if most < 60.0 else ("deg/s", "rad/s")
+        unit, other = ("rad/s", "deg/s") if usual_size(rates) < 60.0 else ("deg/s", "rad/s")
         return unit, f"{unit} or {other}?", None
     q, dq = np.column_stack(angles), np.column_stack(rates)
     times = t if t is not None else _ASSUMED_STEP * np.arange(len(q))
@@ -107,7 +110,7 @@ def unit_of_gyro(
         accel: (N, 3) in any unit, or None.
         named: units in the columns' names.
     """
-    size = float(np.quantile(np.abs(gyro), 0.99))
+    size = usual_size([gyro])
     by_name = next(iter(named)) if len(named) == 1 and named <= set(UNITS["gyro"]) else ""
     unit = by_name or ("rad/s" if size < 12.0 else "deg/s")
     dt = 1.0 if t is None else max(float(np.median(np.diff(t))), 1e-6)

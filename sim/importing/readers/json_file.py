@@ -10,7 +10,6 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.limits import check_limit, check_unpacked
 from surefoot.sim.importing.readers.table import RecordedTable
 
-_DEEPEST = 19
 _SWOLLEN = 25.0
 """Memory per byte of text, for a text of empty lists and records [bytes]."""
 _COSTS = {",": 200, "[": 600, "{": 2400}
@@ -48,13 +47,12 @@ def read_json(path: Path) -> RecordedTable:
     return RecordedTable(path, cells)
 
 
-def _flat(record: dict, name: str, deeper: int = _DEEPEST) -> dict[str, object]:
+def _flat(record: dict, name: str) -> dict[str, object]:
     """The fields of a record by their paths, with `name` in front."""
     found: dict[str, object] = {}
     for key, value in record.items():
         path = f"{name}.{key}" if name else key
-        nested = isinstance(value, dict) and deeper
-        found |= _flat(value, path, deeper - 1) if nested else {path: value}
+        found |= _flat(value, path) if isinstance(value, dict) else {path: value}
     return found
 
 
