@@ -57,6 +57,8 @@ IMPLIED = (0.55, 1.25)
 cause, in which rows are samples: 0.6 to 1 in walks sampled at 5 to 100 Hz, at most 0.4 where rows
 are averages.
 """
+QUIET = 0.35
+"""Least size of an accelerometer's signal relative to the motion's: 0.6 in clean walks."""
 SAME_SIZE = 1e-3
 """Least relative variation of the magnitude of a specific force; impacts reach several times
 gravity.
@@ -129,8 +131,8 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     """Check that the specific force agrees with the motion of the reference.
 
     Compares: the accelerometer with gravity and the acceleration of ref_p, in world and body.
-    Threshold: correlations as of the gyro; a mean {ZERO_G:g} m/s² off.
-    Reason: impacts and filters blur accelerations; clean walks have 0.8.
+    Threshold: correlations as of the gyro; a mean {ZERO_G:g} m/s² off; {QUIET:.0%} of the motion.
+    Reason: impacts and filters blur accelerations: clean walks have 60 % and more.
     Remedy: order or sign of the axes of accel or ref_p, whichever the evidence names.
     """
     accel, felt = view.accel[view.ok], view.felt[view.ok]
@@ -141,6 +143,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     fits = max(in_body.paired.mean() + 0.1, in_body.best.mean(), in_world.best.mean())
     lag, shifted = view.delay(accel, felt, LATE_STREAM, LATEST_ACCEL)
     as_world = match_axes(accel, view.ref_a[view.ok] - GRAVITY_G).paired[:2]
+    size = float(np.sqrt(np.sum(accel.var(axis=0)) / max(np.sum(felt.var(axis=0)), 1e-12)))
     if lag and shifted > max(HARDLY, fits) and other_point(view) is None:
         seen = f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
@@ -148,6 +151,9 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     elif as_world.min() > LIKELY and (as_world - in_body.paired[:2]).mean() > 0.5 * GAIN:
         seen = f"correlation with the reference's accelerations in G {number_words(as_world)}"
         yield Finding(ACCEL, seen, "in the world's axes, not the body's")
+    elif size < QUIET:
+        seen = f"has {size:.2f} of the accelerations of the reference's motion"
+        yield Finding(ACCEL, seen, "filtered, or gravity alone")
     # If gravity shows that the IMU's z is upright, the reference's is at fault.
     elif _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
@@ -216,15 +222,17 @@ def averaged(view: LogView) -> Iterator[Finding]:
 
 @plausibility_rule("gyro's unit", "gyro", when="comparable")
 def gyro_unit(view: LogView) -> Iterator[Finding]:
-    """Check that a gyro is in rad/s.
+    """Check that a gyro measures something, in rad/s.
 
     Compares: the gyro's size.
-    Threshold: {TUMBLING:g} rad/s root mean square.
+    Threshold: {TUMBLING:g} rad/s root mean square, or 0 throughout.
     Reason: a turn a second for as long as the log lasts is no walk.
     Remedy: unit = "deg/s".
     """
     rms = float(np.sqrt(np.mean(np.sum(view.log.gyro**2, axis=1))))
-    if rms > TUMBLING:
+    if rms == 0.0:
+        yield Finding(GYRO, "0 rad/s in every row", "not connected, or not logged")
+    elif rms > TUMBLING:
         seen = f"root mean square {rms:.3g} rad/s"
         mean, other = (x.mean(axis=0) for x in (view.log.gyro, view.log.accel))
         if abs(np.linalg.norm(mean) / GRAVITY - 1.0) < 0.1 and np.linalg.norm(other) < rms / 3.0:
