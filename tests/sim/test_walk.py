@@ -26,9 +26,8 @@ from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.physics.stepper import Fallen
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion, rate_of
+from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
 from surefoot.sim.walk import STEPS_PER_TICK, meta_of, plan, record, simulate_motion, walk
-from surefoot.sim.walking import long_walk
 from surefoot.sim.walking.long_walk import needs_whole, walk_in_pieces
 
 SPOT = Robot.load("spot_class")
@@ -212,12 +211,6 @@ def test_a_course_in_pieces_is_the_course():
     for name in ("t", "pose", "velocity"):
         joined = np.concatenate([getattr(part, name) for part in parts])
         np.testing.assert_array_equal(joined, getattr(course, name))
-
-
-@pytest.mark.parametrize("rows", [5, 6, 1000, 99_999])
-def test_the_rate_is_that_of_all_stamps(rows):
-    t = (np.arange(rows) + 1501) * 0.002 - 3.0
-    assert long_walk._rate(1500, rows) == rate_of(t)
 
 
 def test_a_fall_comes_behind_the_rows_before_it():
