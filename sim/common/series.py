@@ -1,11 +1,8 @@
-"""Sampled series: low-pass filter, convolution, noise level, evenly spaced rows; and noise that is
-drawn in pieces.
-"""
+"""Sampled series: low-pass filter, noise level, evenly spaced rows; noise drawn in pieces."""
 
 from copy import deepcopy
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from surefoot.sim.common.kernels import kernel
 
@@ -63,17 +60,6 @@ def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
         return x
     keep = np.exp(-1.0 / (time * rate))
     return np.concatenate([x[:1], (x[1:] - keep * x[:-1]) / (1.0 - keep)])
-
-
-def convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Convolution (A + B - 1,) of a (A,) with b (B,), by FFT.
-
-    As `scipy.signal.fftconvolve`, whose package takes half a second to import.
-    """
-    size = len(a) + len(b) - 1
-    fast = next_fast_len(size, real=True)
-    product = np.asarray(rfft(a, fast)) * np.asarray(rfft(b, fast))
-    return np.asarray(irfft(product, fast))[:size]
 
 
 def white_noise(x: np.ndarray) -> np.ndarray:
