@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.quaternion import continuous
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.sensors.streams import Reference, Streams
 
 STREAMS = {
@@ -75,12 +76,12 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     for kind in dict.fromkeys(name.split("_")[0] for name in smooth):
         of_kind = [n for n in smooth if n.split("_")[0] == kind]
         values = _spline(log, kind, of_kind)(then)
-        columns |= {name: values[:, i] for i, name in enumerate(of_kind)}
+        columns |= dict(zip(of_kind, values.T, strict=True))
     columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
         values = CubicSpline(t, continuous(log.ref_q))(then)
         values /= np.linalg.norm(values, axis=1, keepdims=True)
-        columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
+        columns |= named_columns("ref_q", values, "wxyz")
     return log.with_columns(columns)
 
 

@@ -11,6 +11,7 @@ from synthetic import without
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import LinkChange
@@ -198,8 +199,8 @@ def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
 def test_feet_share_the_load_by_their_sensors_in_any_unit_before_they_count_as_standing(log, robot):
     """Of contacts that begin and end at half the load, as those of a pad that is read so."""
     half = 0.5 * np.median(log.force[log.contact])
-    delayed = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
-    by_counts = {f"force_{leg}": 7.0 + 3.0 * log.force[:, i] for i, leg in enumerate(log.legs)}
+    delayed = named_columns("contact", 1.0 * (log.force > half), log.legs)
+    by_counts = named_columns("force", 7.0 + 3.0 * log.force, log.legs)
     seen = log.with_columns(delayed)
     up_B = log.ref_R_GI[:, 2] @ robot.R_BI.T
     walks = log.t - log.t[0] > 1.0
