@@ -1,8 +1,9 @@
 """The error for bad input, and the check of whole numbers."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 
 LARGEST_WHOLE = 2**53
@@ -42,6 +43,18 @@ def check_seed(seed: int) -> None:
         raise SurefootError(f"seed {seed}: must not be negative")
     if seed > LARGEST_WHOLE:
         raise SurefootError("seed: must not be beyond 2^53")
+
+
+def check_within(
+    values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]], most: float = inf
+) -> None:
+    """Raise SurefootError for a value outside the range of its name or, without one, outside 0 to
+    `most`.
+    """
+    for name, value in values.items():
+        low, high = ranges.get(name, (0.0, most))
+        if not low <= value <= high:
+            raise SurefootError(f"{name} must lie between {low:g} and {high:g}, is {value:g}")
 
 
 def check_known(

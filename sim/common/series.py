@@ -94,6 +94,10 @@ def deferred_normals(rng: np.random.Generator, count: int) -> np.random.Generato
     return own
 
 
+SHORTEST_TIME = 1e-6
+"""Shortest correlation time of a process [s], which is white noise at any rate."""
+
+
 class GaussMarkov:
     """A stationary first-order Gauss-Markov process of three axes, drawn in pieces. The numbers do
     not depend on the pieces.

@@ -105,4 +105,4 @@ def test_it_looks_forward_and_down_from_the_front_hips(robot):
 def test_without_a_world_it_says_so(log, robot):
     other = Scenario("other", (Segment(1.0),), FLAT)
     refused("radar: the log is of scenario flat and seed 4", radar, log, other, robot)
-    refused("radar: ghosts must not be negative", RadarSensor, ghosts=-0.1)
+    refused("radar: ghosts must lie between 0 and inf, is -0.1", RadarSensor, ghosts=-0.1)
