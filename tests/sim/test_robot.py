@@ -14,7 +14,6 @@ from refusals import refused
 from written import written
 
 from surefoot.scenarios.robot_card import robot_card
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
@@ -480,8 +479,8 @@ def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
     frame = pd.DataFrame({"t": t, "q_shoulder": 0.0 * t})
     meta = Meta(100.0, robot=str(file))
     assert isinstance(machine_for_log(Log(frame, meta, "held")), FixedBase)
-    with pytest.raises(SurefootError, match="walk: is of a machine with legs; robot arm: none"):
-        machine_for_log(Log(frame.assign(contact_left=1.0), meta, "walk"))
+    stands = Log(frame.assign(contact_left=1.0), meta, "walk")
+    refused("walk: is of a machine with legs; robot arm: none", machine_for_log, stands)
     refused("no body or site 'toe'", load_machine, file, feet={"left": "toe"})
 
 

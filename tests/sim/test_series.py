@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -11,7 +12,6 @@ from surefoot.sim.common.quaternion import slerp
 from surefoot.sim.common.series import recursion, white_noise
 from surefoot.sim.log import (
     Log,
-    LogError,
     Meta,
     joint_velocity,
     reference_velocity,
@@ -123,5 +123,4 @@ def test_velocities_are_logged_ones_first_and_marked_when_derived():
     assert with_velocities(filled).meta == filled.meta
     measured = Log(log.frame.assign(dq_knee=7.0), log.meta)
     np.testing.assert_array_equal(joint_velocity(measured), 7.0)
-    with pytest.raises(LogError, match="lacks reference"):
-        reference_velocity(Log(pd.DataFrame({"t": t}), log.meta))
+    refused("lacks reference", reference_velocity, Log(pd.DataFrame({"t": t}), log.meta))
