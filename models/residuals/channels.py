@@ -380,7 +380,7 @@ def _per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each joint, with the same noise on all legs."""
     units = [_OF_SLIDES.get(unit, unit) if name in limbs.slides else unit for name in limbs.joints]
     return tuple(
-        Column(f"{what}_{name}", of, name, limbs.kind(i))
+        Column(f"{what}_{name}", of, name, limbs.kind_of[i])
         for i, (name, of) in enumerate(zip(limbs.joints, units, strict=True))
     )
 

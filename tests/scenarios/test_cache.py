@@ -25,7 +25,7 @@ def house(tmp_path, monkeypatch):
 
 
 def forget():
-    for one in (sources_digest, sources._folders, sources._source):
+    for one in (sources_digest, sources._contents, sources._folders, sources._source):
         one.cache_clear()
 
 
@@ -54,7 +54,7 @@ def test_what_a_module_imports_decides_too_and_nothing_else_does(tmp_path, house
     made(tmp_path, {}, log)
     for name, remade in (("c", False), ("b", True), ("a", True)):
         (house / f"{name}.py").write_text((house / f"{name}.py").read_text() + "edited = 1\n")
-        sources_digest.cache_clear()
+        forget()
         before = len(log)
         made(tmp_path, {}, log)
         assert (len(log) > before) == remade, name

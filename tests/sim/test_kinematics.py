@@ -49,7 +49,7 @@ def test_foot_rate_is_that_of_a_rigid_last_link(robot):
     e = 1e-6
     spread = [o.feet_I(q + e * dq) - o.feet_I(q - e * dq) for o in (other, robot)]
     relative = (spread[0] - spread[1]) / (2 * e)
-    np.testing.assert_allclose(np.cross(robot.foot_rates_I(q, dq), arm), relative, atol=1e-7)
+    np.testing.assert_allclose(np.cross(robot.feet.rates_I(q, dq), arm), relative, atol=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 0.3, np.pi - 1e-9, np.pi, 5.0])
@@ -171,7 +171,7 @@ def test_it_is_mujocos_with_everything_that_a_joint_may_have(tmp_path, friction,
       <geom size="0.05" mass="0.5"/></body></body></body></worldbody>
       <tendon><fixed stiffness="3" damping="0.1"><joint joint="a" coef="1"/>
       <joint joint="b" coef="-1"/></fixed></tendon></mujoco>""")
-    dynamics, rng = dynamics_of(file, ("a", "b", "c")), np.random.default_rng(11)
+    dynamics, rng = dynamics_of(file, ("a", "b", "c"), BodyChanges()), np.random.default_rng(11)
     q, dq, ddq = rng.standard_normal((3, 50, 3)) * [[[1.0]], [[scale]], [[scale]]]
     _, torque = dynamics.inverse(q, dq, ddq)
     data = mujoco.MjData(dynamics.model)

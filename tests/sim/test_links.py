@@ -15,7 +15,7 @@ from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.robot.legs import find_legs
-from surefoot.sim.robot.limbs import limbs_by_name
+from surefoot.sim.robot.limbs import Limbs
 
 SPOT = Robot.load("spot_class")
 LOG = cast(Log, SimpleNamespace())
@@ -32,7 +32,7 @@ def test_what_a_leg_lacks_is_looked_for_up_to_a_size_that_its_parts_have(name, t
     low, _ = kind.bounds_on(SPOT.limbs, target)
     assert low <= -least
     assert low > -1.04 * least
-    assert kind.bounds_on(limbs_by_name((), ("slide", "lift")))[0] <= 5.0 * low
+    assert kind.bounds_on(Limbs((), ("slide", "lift"), ()))[0] <= 5.0 * low
 
 
 @pytest.mark.parametrize("target", ["FL_z", "RR_x", "FR_y"])

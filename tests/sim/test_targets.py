@@ -16,7 +16,7 @@ from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import find_legs
-from surefoot.sim.robot.limbs import QUADRUPED, Limbs, limbs_by_name
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Reference, Streams
 from surefoot.sim.walk import plan, walk
@@ -53,7 +53,7 @@ def test_other_machines_have_the_groups_that_they_can():
     assert groups("joint", BIPED)["all"] == BIPED.joints
     assert groups("leg", BIPED) == {"all": ("left", "right")}
     assert parts("leg_link", BIPED) == ("l_knee", "r_knee")
-    arm, pendulum = limbs_by_name((), ("shoulder", "elbow")), limbs_by_name((), ("shoulder",))
+    arm, pendulum = Limbs((), ("shoulder", "elbow"), ()), Limbs((), ("shoulder",), ())
     assert groups("joint", arm) == {"all": ("shoulder", "elbow")}
     assert groups("joint", pendulum) == {}
     assert parts("leg", arm) == ()
