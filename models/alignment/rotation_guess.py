@@ -12,6 +12,7 @@ from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.alignment.least_squares import Placement
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.log.reference import Poses
 
@@ -117,7 +118,7 @@ def _guess_at_offset(
     if _STEP * inside.sum() < LEAST_OVERLAP:
         return None
     a = a[inside]
-    b = np.column_stack([np.interp(here[inside] - offset, there, x) for x in b.T])
+    b = interpolate_rows(here[inside] - offset, there, b)
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     a, b = a - mean_a, b - mean_b
     U, _, Vt = np.linalg.svd(a.T @ b)

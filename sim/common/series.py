@@ -79,6 +79,12 @@ def rows_every(t: np.ndarray, period: float) -> np.ndarray:
     return np.unique(np.minimum(rows, len(t) - 1))
 
 
+def interpolate_rows(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at the times `then` (K,), linear between those of x (N, ...) at t (N,)."""
+    columns = [np.interp(then, t, column) for column in x.reshape(len(x), -1).T]
+    return np.stack(columns, axis=1).reshape(len(then), *x.shape[1:])
+
+
 _AT_ONCE = 1 << 16  # numbers: half a megabyte
 
 

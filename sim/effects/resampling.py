@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.quaternion import continuous
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log import Log
 from surefoot.sim.log.schema import named_columns
 from surefoot.sim.sensors.streams import Reference, Streams
@@ -42,7 +43,7 @@ def streams_at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> St
         elif name in STREAMS["feet"]:
             moved[name] = x[_nearest(t, then)]
         else:
-            moved[name] = np.column_stack([np.interp(then, t, column) for column in x.T])
+            moved[name] = interpolate_rows(then, t, x)
     return replace(streams, **moved)
 
 
@@ -53,10 +54,7 @@ def reference_at(reference: Reference, names: tuple[str, ...], then: np.ndarray)
     t = reference.t
     then = np.clip(then, t[0], t[-1])
     turned = Slerp(t, Rotation.from_matrix(reference.R_GI))(then)
-    p_GI, v_GI = (
-        np.column_stack([np.interp(then, t, x) for x in part.T])
-        for part in (reference.p_GI, reference.v_GI)
-    )
+    p_GI, v_GI = (interpolate_rows(then, t, x) for x in (reference.p_GI, reference.v_GI))
     return Reference(t, turned.as_matrix(), p_GI, v_GI)
 
 

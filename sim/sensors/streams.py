@@ -10,7 +10,13 @@ from surefoot.sim.common.errors import check_within
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.quaternion import continuous
-from surefoot.sim.common.series import SHORTEST_TIME, GaussMarkov, deferred_normals, low_pass_from
+from surefoot.sim.common.series import (
+    SHORTEST_TIME,
+    GaussMarkov,
+    deferred_normals,
+    interpolate_rows,
+    low_pass_from,
+)
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
@@ -384,7 +390,6 @@ def sampled(frame: pd.DataFrame, rate: float, averages: bool) -> pd.DataFrame:
     found = pd.DataFrame(columns)
     q = [f"ref_q_{axis}" for axis in "wxyz"]
     # A quaternion's sign may change from row to row: the row before decides.
-    ref = continuous(frame[q].to_numpy())
-    turned = np.column_stack([np.interp(then, t, x) for x in ref.T])
+    turned = interpolate_rows(then, t, continuous(frame[q].to_numpy()))
     found[q] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     return found
