@@ -71,6 +71,11 @@ def unknown(what: str, name: object, known: Iterable[str]) -> str:
     return f"unknown {what} '{name}'; known: {', '.join(names)}{did_you_mean(name, names)}"
 
 
+def shortened(text: str, most: int = 100) -> str:
+    """A text of at most about `most` characters, without the middle of a longer one."""
+    return text if len(text) <= most else f"{text[: most * 2 // 3]}...{text[-most // 6 :]}"
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """`; did you mean 'go1'?` if a known name is similar, else ""."""
     near = get_close_matches(str(name)[:100], list(known), n=1)

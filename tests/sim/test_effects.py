@@ -29,8 +29,6 @@ from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
 from surefoot.sim.log.schema import named_columns
 from surefoot.sim.physics.drives import foot_parts
 from surefoot.sim.physics.scene import TIMESTEP, robot_spec
-from surefoot.sim.robot.kinematics import feet
-from surefoot.sim.robot.legs import find_legs
 from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 from surefoot.sim.scenario import Scenario, Segment
 from surefoot.sim.sensors.streams import Streams
@@ -42,28 +40,6 @@ def walked(robot):
     """A short walk: lags are sought in it often."""
     segments = (Segment(2.0, 0.5, turn=0.4),)
     return walk(Scenario("short", segments, Ground(0.8), stand=0.3), robot, seed=3)
-
-
-def edited(robot, one):
-    spec = robot_spec(robot)
-    one.edit_spec(spec, robot)
-    model = spec.compile()
-    return model, find_legs(model, robot.name)
-
-
-@pytest.mark.parametrize("target", [f"{leg}_{link}" for leg in LEGS for link in ("thigh", "calf")])
-def test_link_length_moves_the_foot_of_the_compiled_model_as_explained(robot, log, target):
-    """Two roads to the same leg: MuJoCo's edited bodies, and the constants that a filter uses."""
-    one = effect("link_length", target, 0.007)
-    _, tree = edited(robot, one)
-    q = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 12)) + robot.q_home
-    simulated = feet(tree.constants, q, robot.R_BI, robot.p_BI)[0]
-    _, known = one.compensate(log, robot)
-    assert_allclose(known.feet_I(q), simulated, atol=1e-12)
-    moved = np.linalg.norm(simulated - robot.feet_I(q), axis=2)
-    leg = LEGS.index(target[:2])
-    assert_allclose(moved[:, leg], 0.007, atol=1e-12)
-    assert_allclose(np.delete(moved, leg, axis=1), 0.0, atol=1e-12)
 
 
 def test_foot_rolling_leaves_every_foot_a_radius(robot):

@@ -11,15 +11,12 @@ from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log.schema import named_columns
 from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
 from surefoot.sim.robot.kinematics import axis_rotation
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.mark.parametrize("name", ["spot_class", "v60_class"])
@@ -180,11 +177,6 @@ def test_it_is_mujocos_with_everything_that_a_joint_may_have(tmp_path, friction,
         mujoco.mj_inverse(dynamics.model, data)
         assert_allclose(torque[k], data.qfrc_inverse, atol=1e-9)
     assert np.abs(torque).max() > 1.0
-
-
-@pytest.fixture(scope="module")
-def log(robot):
-    return walk(Scenario("walk", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8)), robot, seed=2)
 
 
 def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):

@@ -161,11 +161,11 @@ def test_a_robot_may_have_any_two_in_either_order(first):
 
 @pytest.mark.parametrize("first", EFFECTS)
 def test_streams_and_models_bear_any_other_effect_after_it(log, first):
-    v_GI = log.frame[["ref_v_x", "ref_v_y", "ref_v_z"]].to_numpy()
     streams = (log.t, log.gyro, log.accel, log.q, log.dq, log.tau, log.tau_ff, log.force)
     seen = EFFECTS[first].alter_streams(Streams(*streams), SPOT)
     mounted = EFFECTS[first].alter_mounting(SPOT)
-    reference = EFFECTS[first].alter_reference(Reference(log.t, log.ref_R_GI, log.ref_p, v_GI))
+    truth = Reference(log.t, log.ref_R_GI, log.ref_p, log.ref_v)
+    reference = EFFECTS[first].alter_reference(truth)
     after = compensate_all([EFFECTS[first]], log, SPOT)
     for second in EFFECTS.values():
         altered = vars(second.alter_streams(seen, SPOT))
