@@ -138,8 +138,9 @@ def test_a_rough_strip_lies_on_its_lattice():
 def test_what_is_given_by_heights_cannot_be_covered_in_part():
     rough, over = ROUGH.roughened(np.random.default_rng(0)), Strip((-6.0, 1.0), (-5.0, 1.0), 1.0)
     field = HeightField((0.0, 1.0, 0.0, 1.0), np.zeros((3, 3)))
-    for covered in ({"strips": (rough, over)}, {"fields": (field, replace(field, mu=0.3))}):
-        refused("overlap", add_ground, mujoco.MjSpec(), Ground(0.8, half_size=12.0, **covered))
+    fields = Ground(0.8, fields=(field, replace(field, mu=0.3)))
+    for covered in (Ground(0.8, strips=(rough, over)), fields):
+        refused("overlap", add_ground, mujoco.MjSpec(), covered)
 
 
 X, Y = np.linspace(-1.0, 4.0, 26), np.linspace(-1.5, 1.5, 13)
