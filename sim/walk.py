@@ -36,7 +36,6 @@ from surefoot.sim.sensors.streams import (
     SensorErrors,
     Streams,
     ideal_streams,
-    rate_of,
     reference_of,
     sampled,
 )
@@ -195,7 +194,7 @@ def plan(
 def record(made: Plan, motion: Motion) -> Log:
     """Record the sensors along a motion in the planned world, from the end of settling on."""
     motion = motion.after(SETTLING_TIME)
-    frame = Sensing(made, len(motion.tau), rate_of(motion.t[1:])).of(motion)
+    frame = Sensing(made, len(motion.tau)).of(motion)
     meta, sensors = meta_of(made), made.scenario.sensors
     if meta.rate < 1.0 / TIMESTEP:
         frame = sampled(frame, meta.rate, averages=not sensors.imu_bandwidth)
@@ -209,14 +208,15 @@ class Sensing:
     whole walk at once.
     """
 
-    def __init__(self, made: Plan, rows: int, rate: float):
-        """`rows`: of the whole log; `rate`: before resampling [Hz]."""
+    def __init__(self, made: Plan, rows: int):
+        """`rows`: of the whole log, before resampling."""
         self._made, robot = made, made.robot
         self._mounted = robot
         for effect in made.effects:
             self._mounted = effect.alter_mounting(self._mounted)
         self._sensors, rng = made.scenario.sensors, np.random.default_rng(made.sensor_seed)
         shape, weight = (rows, len(JOINTS), len(LEGS)), robot.mass * GRAVITY
+        rate = 1.0 / TIMESTEP
         self._errors = SensorErrors(self._sensors, rng, shape, rate, weight)
         self._contact = ContactSwitch(self._sensors, rng, weight, rate)
         # With the legs and soles of the simulated world, effects included, for the truth.

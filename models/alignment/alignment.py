@@ -26,6 +26,7 @@ from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.files import plain_json
 from surefoot.sim.common.gravity import GRAVITY
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.columns import map_line
 from surefoot.sim.importing.reference import REFERENCE_OFFSET, in_world, mounted, with_reference
 from surefoot.sim.importing.reference_check import without_jumps
@@ -309,7 +310,7 @@ def _turn_missed(fitted: PlacementFit, readings: Readings) -> float:
     The median of the residual counts, since impacts smeared by the IMU's filter are not another
     body.
     """
-    rates = np.column_stack([np.interp(fitted.t, readings.t, x) for x in readings.gyro.T])
+    rates = interpolate_rows(fitted.t, readings.t, readings.gyro)
     rates = rates - np.median(rates, axis=0)
     size = np.linalg.norm(rates, axis=1)
     moving = size > 0.1 * np.percentile(size, 95.0)

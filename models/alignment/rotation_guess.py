@@ -8,10 +8,11 @@ and the peaks with the smallest differences are kept.
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
+from scipy.signal import fftconvolve
 from scipy.spatial.transform import Rotation
 
 from surefoot.models.alignment.least_squares import Placement
-from surefoot.sim.common.series import convolve
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.log.reference import Poses
 
@@ -90,11 +91,11 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     infinity where the overlap is shorter than LEAST_OVERLAP.
     """
     back, one_a, one_b = b[::-1], np.ones_like(a), np.ones_like(b)
-    count = np.round(convolve(one_a, one_b))
-    sum_a, sum_b = convolve(a, one_b), convolve(one_a, back)
-    both = convolve(a, back) - sum_a * sum_b / count
-    var_a = convolve(a**2, one_b) - sum_a**2 / count
-    var_b = convolve(one_a, back**2) - sum_b**2 / count
+    count = np.round(fftconvolve(one_a, one_b))
+    sum_a, sum_b = fftconvolve(a, one_b), fftconvolve(one_a, back)
+    both = fftconvolve(a, back) - sum_a * sum_b / count
+    var_a = fftconvolve(a**2, one_b) - sum_a**2 / count
+    var_b = fftconvolve(one_a, back**2) - sum_b**2 / count
     size = np.sqrt(np.maximum(var_a * var_b, 1e-18))
     return np.where(count * _STEP >= LEAST_OVERLAP, both / size, -np.inf)
 
@@ -117,7 +118,7 @@ def _guess_at_offset(
     if _STEP * inside.sum() < LEAST_OVERLAP:
         return None
     a = a[inside]
-    b = np.column_stack([np.interp(here[inside] - offset, there, x) for x in b.T])
+    b = interpolate_rows(here[inside] - offset, there, b)
     mean_a, mean_b = a.mean(axis=0), b.mean(axis=0)
     a, b = a - mean_a, b - mean_b
     U, _, Vt = np.linalg.svd(a.T @ b)

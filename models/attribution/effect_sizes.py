@@ -91,7 +91,7 @@ def price_of_some_parts(name: str, target: str, limbs: Limbs) -> float:
     members = kind.members_of(target, limbs)
     every = len(limbs.legs)
     if members[0] in limbs.joints:
-        kinds = [limbs.kind(i) for i in range(len(limbs.joints))]
+        kinds = limbs.kind_of
         touched = {kinds[limbs.joints.index(one)] for one in members}
         every = sum(one in touched for one in kinds)
     return 0.0 if len(members) == every else (1.96 / kind.traced.spread) ** 2

@@ -16,7 +16,7 @@ from surefoot.models.attribution.evidence import Key, LogUnderModel, all_keys, l
 from surefoot.models.attribution.weights import sticks
 from surefoot.models.residuals.motion import motion_under_model
 from surefoot.sim.common.quaternion import quaternion_from_matrix
-from surefoot.sim.common.series import white_noise
+from surefoot.sim.common.series import interpolate_rows, white_noise
 from surefoot.sim.effects import known_effects
 from surefoot.sim.effects.base import AXES, Effect, with_columns
 from surefoot.sim.importing.reference import REFERENCE_SAMPLES
@@ -200,12 +200,12 @@ def resample_reference(log: Log, sampling: ReferenceSampling, rng: np.random.Gen
         then = t[0] + np.cumsum(np.tile(sampling.intervals, repeats))
         then = np.concatenate([t[:1], then[(then > t[0]) & (then < t[-1])], t[-1:]])
     seen = np.clip(then + rng.normal(0.0, sampling.stamp, len(then)), t[0], t[-1])
-    p_GI = _at(seen, t, log.ref_p)
+    p_GI = interpolate_rows(seen, t, log.ref_p)
     p_GI += rng.normal(0.0, sampling.position, p_GI.shape)
     turned = Rotation.from_rotvec(rng.normal(0.0, sampling.angle, p_GI.shape))
     R_GI = Slerp(t, Rotation.from_matrix(log.ref_R_GI))(seen) * turned
     q_GI = quaternion_from_matrix(Slerp(then, R_GI)(t).as_matrix())
-    path = _at(t, then, p_GI)
+    path = interpolate_rows(t, then, p_GI)
     columns = {f"ref_p_{a}": path[:, i] for i, a in enumerate("xyz")}
     columns |= {f"ref_q_{a}": q_GI[:, i] for i, a in enumerate("wxyz")}
     return with_columns(log, columns)
@@ -238,8 +238,3 @@ def reference_notes(log: Log) -> tuple[str, ...]:
             f"reference: the tracked point is {1e3 * far:.0f} mm from the IMU: run surefoot align"
         )
     return (*notes, *(f"reference: {fault}" for fault in found.faults))
-
-
-def _at(then: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Interpolate values (N, 3), given at times t (N,), at the times `then` (K,)."""
-    return np.column_stack([np.interp(then, t, x) for x in values.T])

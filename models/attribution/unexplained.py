@@ -74,7 +74,7 @@ def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[
         cases: the logs, with their own zeros and clocks compensated.
     """
     found, limbs = [one.effect for one in result.found], result.metric.known.layout.limbs
-    kind = {joint: limbs.kind(i) for i, joint in enumerate(limbs.joints)}
+    kind = dict(zip(limbs.joints, limbs.kind_of, strict=True))
     at = [e.target for e in found if e.target in kind and "leg_velocity" in e.traced.channels]
     if not at or cases[0].fixed:
         return ()

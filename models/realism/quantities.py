@@ -14,9 +14,9 @@ from scipy.stats import median_abs_deviation
 
 from surefoot.models.calibration.mixing import mixing
 from surefoot.models.realism.walk_view import WalkView
-from surefoot.models.residuals.binning import interpolate_rows
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY
+from surefoot.sim.common.series import interpolate_rows
 
 RIPPLE = 20.0
 """Hz above which a joint's rate counts as ripple; strides and swings are far slower."""

@@ -278,12 +278,6 @@ def at_rows(omega: np.ndarray) -> np.ndarray:
     return 0.5 * (omega + np.concatenate([omega[1:], omega[-1:]]))
 
 
-def interpolate_rows(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Values (K, ...) at the times `then` (K,), linear between those of x (N, ...) at t (N,)."""
-    columns = [np.interp(then, t, column) for column in x.reshape(len(x), -1).T]
-    return np.stack(columns, axis=1).reshape(len(then), *x.shape[1:])
-
-
 def at_torques(x: np.ndarray, motion: ReferenceMotion) -> np.ndarray:
     """Interpolate x (N, ...) to the time of each row's torque.
 

@@ -21,7 +21,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from surefoot.models.residuals.binning import BIN, Bins, bin_mean, interpolate_rows
+from surefoot.models.residuals.binning import BIN, Bins, bin_mean
 from surefoot.models.residuals.channel import Channel, Column, ResidualInputs
 from surefoot.models.residuals.contact_timing import contact_timing
 from surefoot.models.residuals.feet import (
@@ -33,6 +33,7 @@ from surefoot.models.residuals.feet import (
 from surefoot.models.residuals.torques import slope, smooth_121, unbalanced_wrench
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.plugins import Registry
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.effects.base import AXES
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.robot.feet import shown_feet
@@ -380,7 +381,7 @@ def _per_joint(what: str, unit: str, limbs: Limbs) -> tuple[Column, ...]:
     """A column for each joint, with the same noise on all legs."""
     units = [_OF_SLIDES.get(unit, unit) if name in limbs.slides else unit for name in limbs.joints]
     return tuple(
-        Column(f"{what}_{name}", of, name, limbs.kind(i))
+        Column(f"{what}_{name}", of, name, limbs.kind_of[i])
         for i, (name, of) in enumerate(zip(limbs.joints, units, strict=True))
     )
 

@@ -7,7 +7,8 @@ accumulates is their mean, and the displacement of the foot over the ground whil
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows, interpolate_rows
+from surefoot.models.residuals.binning import BIN, Bins, ReferenceMotion, at_rows
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet
 from surefoot.sim.sensors.stances import stances

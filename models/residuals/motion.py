@@ -17,7 +17,6 @@ from surefoot.models.residuals.binning import (
     ReferenceMotion,
     at_rows,
     binned,
-    interpolate_rows,
     reference_motion,
 )
 from surefoot.models.residuals.contact_timing import within_windows
@@ -29,6 +28,7 @@ from surefoot.models.residuals.feet import (
     unevenness,
 )
 from surefoot.sim.common.quaternion import quaternion_from_matrix
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log import Log
 from surefoot.sim.robot.feet import Feet, shown_feet
 from surefoot.sim.robot.machine import Machine

@@ -25,12 +25,12 @@ from surefoot.models.residuals.binning import (
     ReferenceMotion,
     at_torques,
     bin_mean,
-    interpolate_rows,
 )
 from surefoot.models.residuals.torques import feet_wrenches
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.ground.tiles import SOLIMP, SOLREF
 from surefoot.sim.log import Log, joint_velocity
 from surefoot.sim.physics.loads import once_for_loads

@@ -445,7 +445,7 @@ class LegStream(FilterStream):
             return place, encoder_covariance(arm, *self._kinematics), None
         dq = self._rates(t, place) if dq is None else dq
         cov = encoder_covariance(robot.feet_jacobian_I(place), *self._kinematics)
-        return robot.feet_I(place), cov, robot.foot_rates_I(place, dq)
+        return robot.feet_I(place), cov, robot.feet.rates_I(place, dq)
 
     def step(self, sample: Sample) -> Update | None:
         """Predict, and update with the contacts."""

@@ -20,9 +20,9 @@ import pandas as pd
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.estimator.metrics import matched, relative_errors, segments
-from surefoot.models.residuals.binning import interpolate_rows
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import Changes
 from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds

@@ -24,6 +24,7 @@ from surefoot.estimator.core.lie import hat
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.clock import span
 from surefoot.sim.importing.readers.file import detected_layout, read_file
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings
@@ -144,7 +145,7 @@ def of_imu(estimate: Trajectory, log: Log, robot: Robot) -> Trajectory:
 
     The mounting multiplies a pose on the right, so the right-invariant error stays as it is.
     """
-    gyro = np.column_stack([np.interp(estimate.t, log.t, one) for one in log.gyro.T])
+    gyro = interpolate_rows(estimate.t, log.t, log.gyro)
     lever = np.cross(gyro @ robot.R_BI.T, robot.p_BI)
     turned = estimate.R_GI @ np.stack([lever, np.broadcast_to(robot.p_BI, lever.shape)], axis=-1)
     return replace(
@@ -171,7 +172,7 @@ def beside_reference(estimate: Trajectory, log: Log, name: str) -> tuple[Traject
     estimate = estimate.rows(inside)
     measured = Poses(truth.t, truth.p_GI, quaternion_from_matrix(truth.R_GI))
     poses, known = interpolate_reference(estimate.t, measured)
-    v_GI = np.column_stack([np.interp(estimate.t, truth.t, one) for one in truth.v_GI.T])
+    v_GI = interpolate_rows(estimate.t, truth.t, truth.v_GI)
     zeros = np.zeros_like(v_GI)
     there = Trajectory(estimate.t, poses.R, v_GI, poses.p, zeros, zeros)
     return there.rows(known), estimate.rows(known)

@@ -1,8 +1,9 @@
 """The error for bad input, and the check of whole numbers."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 
 LARGEST_WHOLE = 2**53
@@ -44,6 +45,18 @@ def check_seed(seed: int) -> None:
         raise SurefootError("seed: must not be beyond 2^53")
 
 
+def check_within(
+    values: Mapping[str, float], ranges: Mapping[str, tuple[float, float]], most: float = inf
+) -> None:
+    """Raise SurefootError for a value outside the range of its name or, without one, outside 0 to
+    `most`.
+    """
+    for name, value in values.items():
+        low, high = ranges.get(name, (0.0, most))
+        if not low <= value <= high:
+            raise SurefootError(f"{name} must lie between {low:g} and {high:g}, is {value:g}")
+
+
 def check_known(
     what: str, name: object, known: Collection[str], error: type[SurefootError] = SurefootError
 ) -> None:
@@ -56,6 +69,11 @@ def unknown(what: str, name: object, known: Iterable[str]) -> str:
     """`unknown effect 'wings'; known: ...`, with a similar name if there is one."""
     names = list(known)
     return f"unknown {what} '{name}'; known: {', '.join(names)}{did_you_mean(name, names)}"
+
+
+def shortened(text: str, most: int = 100) -> str:
+    """A text of at most about `most` characters, without the middle of a longer one."""
+    return text if len(text) <= most else f"{text[: most * 2 // 3]}...{text[-most // 6 :]}"
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
-from surefoot.sim.common.errors import SurefootError, did_you_mean
+from surefoot.sim.common.errors import SurefootError, did_you_mean, shortened
 from surefoot.sim.common.limits import bounded_json
 
 MANIFEST = ".surefoot.jsonl"
@@ -163,13 +163,8 @@ def _identity(path: Path) -> tuple[int, int] | None:
         return None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise SurefootError(f"{_short(path)}: {reason}") from None
+        raise SurefootError(f"{shortened(str(path))}: {reason}") from None
     return found.st_dev, found.st_ino
-
-
-def _short(path: Path) -> str:
-    text = str(path)
-    return text if len(text) <= 120 else f"{text[:80]}...{text[-20:]}"
 
 
 def _check_place(path: Path) -> None:
@@ -179,10 +174,10 @@ def _check_place(path: Path) -> None:
     for parent in path.absolute().parents:
         if parent.is_dir():
             if not os.access(parent, os.W_OK | os.X_OK):
-                raise SurefootError(f"{_short(path)}: {parent} is not writable")
+                raise SurefootError(f"{shortened(str(path))}: {parent} is not writable")
             return
         if parent.exists():
-            raise SurefootError(f"{_short(path)}: {parent} is a file, not a folder")
+            raise SurefootError(f"{shortened(str(path))}: {parent} is a file, not a folder")
 
 
 def open_plain(path: Path) -> int:
@@ -416,7 +411,7 @@ def _staged(path: Path) -> Iterator[Path]:
         # A file that has a name of its own, such as one of a cache, is not this output.
         other = error.filename if isinstance(error.filename, str) else None
         at = path if other is None or _is_temporary(Path(other)) else Path(other)
-        raise SurefootError(f"{_short(at)}: cannot be written ({reason})") from error
+        raise SurefootError(f"{shortened(str(at))}: cannot be written ({reason})") from error
 
 
 @contextmanager

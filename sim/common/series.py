@@ -1,11 +1,8 @@
-"""Sampled series: low-pass filter, convolution, noise level, evenly spaced rows; and noise that is
-drawn in pieces.
-"""
+"""Sampled series: low-pass filter, noise level, evenly spaced rows; noise drawn in pieces."""
 
 from copy import deepcopy
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from surefoot.sim.common.kernels import kernel
 
@@ -65,17 +62,6 @@ def without_low_pass(x: np.ndarray, time: float, rate: float) -> np.ndarray:
     return np.concatenate([x[:1], (x[1:] - keep * x[:-1]) / (1.0 - keep)])
 
 
-def convolve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Convolution (A + B - 1,) of a (A,) with b (B,), by FFT.
-
-    As `scipy.signal.fftconvolve`, whose package takes half a second to import.
-    """
-    size = len(a) + len(b) - 1
-    fast = next_fast_len(size, real=True)
-    product = np.asarray(rfft(a, fast)) * np.asarray(rfft(b, fast))
-    return np.asarray(irfft(product, fast))[:size]
-
-
 def white_noise(x: np.ndarray) -> np.ndarray:
     """Standard deviation (...,) of the white noise of readings x (N, ...), N >= 3.
 
@@ -93,6 +79,12 @@ def rows_every(t: np.ndarray, period: float) -> np.ndarray:
     return np.unique(np.minimum(rows, len(t) - 1))
 
 
+def interpolate_rows(then: np.ndarray, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Values (K, ...) at the times `then` (K,), linear between those of x (N, ...) at t (N,)."""
+    columns = [np.interp(then, t, column) for column in x.reshape(len(x), -1).T]
+    return np.stack(columns, axis=1).reshape(len(then), *x.shape[1:])
+
+
 _AT_ONCE = 1 << 16  # numbers: half a megabyte
 
 
@@ -106,6 +98,10 @@ def deferred_normals(rng: np.random.Generator, count: int) -> np.random.Generato
     for first in range(0, count, _AT_ONCE):
         rng.standard_normal(min(_AT_ONCE, count - first))
     return own
+
+
+SHORTEST_TIME = 1e-6
+"""Shortest correlation time of a process [s], which is white noise at any rate."""
 
 
 class GaussMarkov:

@@ -122,18 +122,13 @@ def _imported_late(base: str, names: tuple[str, ...], home: str) -> list[str]:
     return [lazy[name] for name in (lazy if "*" in names else names) if name in lazy]
 
 
-def _contents(path: Path) -> _Contents:
-    if path.suffix != ".py":
-        return _Contents((), {}, frozenset(), path.read_bytes())
-    stat = path.stat()
-    return _parsed(path, stat.st_mtime_ns, stat.st_size)
-
-
 @cache
-def _parsed(path: Path, _changed: int, _size: int) -> _Contents:
+def _contents(path: Path) -> _Contents:
     imports: list[tuple[int, str, tuple[str, ...]]] = []
     lazy: dict[str, str] = {}
     source = path.read_bytes()
+    if path.suffix != ".py":
+        return _Contents((), {}, frozenset(), source)
     tree = ast.parse(source)
     texts: list[ast.expr | ast.Expr] = []
     typed: list[ast.ImportFrom] = []

@@ -17,7 +17,13 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import numpy as np
 
-from surefoot.sim.common.errors import LARGEST_WHOLE, SurefootError, did_you_mean, errors_in
+from surefoot.sim.common.errors import (
+    LARGEST_WHOLE,
+    SurefootError,
+    did_you_mean,
+    errors_in,
+    shortened,
+)
 from surefoot.sim.common.limits import bounded_text, check_limit, check_toml_keys
 
 T = TypeVar("T")
@@ -138,11 +144,7 @@ def _shown(value: Any) -> str:
     """A value for an error message, shortened in the middle if it is long."""
     if isinstance(value, int) and abs(value) >= 2**63:
         return f"a number of {value.bit_length()} bits"
-    return reprlib.repr(value) if isinstance(value, list | dict) else _short(repr(value))
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= 80 else f"{text[:50]}...{text[-10:]}"
+    return reprlib.repr(value) if isinstance(value, list | dict) else shortened(repr(value))
 
 
 def _expected(error: str, arms: tuple[Any, ...]) -> str:

@@ -16,6 +16,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.effects.base import Effect, Prior, Traced, declared_on
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.sensors.stances import swings
@@ -108,7 +109,7 @@ class ContactDelay(Effect):
             lifts, lands = swings(log.t, log.contact[:, leg])
             for edge in lands if self.target == "touchdown" else lifts:
                 contact[max(edge - max(rows, 0), 0) : edge + max(-rows, 0), leg] = False
-        columns = {f"contact_{leg}": contact[:, i].astype(float) for i, leg in enumerate(log.legs)}
+        columns = named_columns("contact", contact.astype(float), log.legs)
         # The part that is not undone in the log is declared in the model.
         known = declared_on(robot, **{f"{self.target}_late": self.value - rows / log.rate})
         return log.with_columns(columns), known

@@ -12,6 +12,7 @@ from surefoot.sim.common.series import low_pass
 from surefoot.sim.effects.base import AXES, Effect, Prior, Traced, along, declared_on, turn_about
 from surefoot.sim.effects.readings import Offset, Scale
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.robot import Robot
 from surefoot.sim.sensors.streams import Reference, Streams
 
@@ -44,9 +45,7 @@ class ImuRotation(Effect):
 
     def compensate(self, log: Log, robot: Robot) -> tuple[Log, Robot]:
         back = turn_about(self.target, self.value).T
-        gyro, accel = log.gyro @ back, log.accel @ back
-        columns = {f"gyro_{a}": gyro[:, i] for i, a in enumerate(AXES)}
-        columns |= {f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}
+        columns = named_columns("gyro", log.gyro @ back) | named_columns("accel", log.accel @ back)
         return log.with_columns(columns), robot
 
 
@@ -163,8 +162,7 @@ class ImuPosition(Effect):
         omega, arm = log.gyro, along(self.target, self.value)
         spin = np.gradient(omega, log.t, axis=0)
         felt = np.cross(spin, arm) + np.cross(omega, np.cross(omega, arm))
-        accel = log.accel - felt
-        return log.with_columns({f"accel_{a}": accel[:, i] for i, a in enumerate(AXES)}), robot
+        return log.with_columns(named_columns("accel", log.accel - felt)), robot
 
 
 class ImuLowpass(Effect):

@@ -11,8 +11,9 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from surefoot.sim.common.quaternion import continuous
-from surefoot.sim.common.series import convolve
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.sensors.streams import Reference, Streams
 
 STREAMS = {
@@ -42,7 +43,7 @@ def streams_at(streams: Streams, names: tuple[str, ...], then: np.ndarray) -> St
         elif name in STREAMS["feet"]:
             moved[name] = x[_nearest(t, then)]
         else:
-            moved[name] = np.column_stack([np.interp(then, t, column) for column in x.T])
+            moved[name] = interpolate_rows(then, t, x)
     return replace(streams, **moved)
 
 
@@ -53,10 +54,7 @@ def reference_at(reference: Reference, names: tuple[str, ...], then: np.ndarray)
     t = reference.t
     then = np.clip(then, t[0], t[-1])
     turned = Slerp(t, Rotation.from_matrix(reference.R_GI))(then)
-    p_GI, v_GI = (
-        np.column_stack([np.interp(then, t, x) for x in part.T])
-        for part in (reference.p_GI, reference.v_GI)
-    )
+    p_GI, v_GI = (interpolate_rows(then, t, x) for x in (reference.p_GI, reference.v_GI))
     return Reference(t, turned.as_matrix(), p_GI, v_GI)
 
 
@@ -76,12 +74,12 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     for kind in dict.fromkeys(name.split("_")[0] for name in smooth):
         of_kind = [n for n in smooth if n.split("_")[0] == kind]
         values = _spline(log, kind, of_kind)(then)
-        columns |= {name: values[:, i] for i, name in enumerate(of_kind)}
+        columns |= dict(zip(of_kind, values.T, strict=True))
     columns |= {name: log.columns[name][_nearest(t, then)] for name in flags}
     if turns:
         values = CubicSpline(t, continuous(log.ref_q))(then)
         values /= np.linalg.norm(values, axis=1, keepdims=True)
-        columns |= {f"ref_q_{axis}": values[:, i] for i, axis in enumerate("wxyz")}
+        columns |= named_columns("ref_q", values, "wxyz")
     return log.with_columns(columns)
 
 
@@ -161,12 +159,11 @@ def _turning(log: Log) -> _Turning:
 
 
 def _turning_lag(turning: _Turning, most: float) -> float:
-    row, turned, gyro = float(np.mean(turning.duration)), turning.reference, turning.gyro
-    both = [x - x.mean(axis=0) for x in (turned, gyro)]
-    shared = np.sum(
-        [convolve(a, b[::-1]) for a, b in zip(*(x.T for x in both), strict=True)], axis=0
-    )
-    lags = np.arange(1 - len(gyro), len(turned)) * row
+    from scipy.signal import fftconvolve  # which takes half a second to import
+
+    turned, gyro = (x - x.mean(axis=0) for x in (turning.reference, turning.gyro))
+    shared = fftconvolve(turned, gyro[::-1], axes=0).sum(axis=1)
+    lags = np.arange(1 - len(gyro), len(turned)) * float(np.mean(turning.duration))
     near = np.abs(lags) <= most
     return float(lags[near][np.argmax(shared[near])])
 

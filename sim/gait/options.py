@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError, check_known
+from surefoot.sim.common.errors import SurefootError, check_known, check_within
 from surefoot.sim.common.plugins import Registry
+from surefoot.sim.common.series import SHORTEST_TIME
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,7 @@ RANGES = {
     "unloading": (0.01, 0.5),
     "slip_care": (0.0, 1.0),
     "period_jitter": (0.0, 0.2),
+    "noise_time": (SHORTEST_TIME, np.inf),
 }
 """Ranges of options; others are only not negative."""
 
@@ -99,13 +101,7 @@ class GaitOptions:
 
     def __post_init__(self):
         pattern_named(self.pattern)
-        numbers = {name: value for name, value in vars(self).items() if name != "pattern"}
-        for name, value in numbers.items():
-            low, high = RANGES.get(name, (0.0, np.inf))
-            if not low <= value <= high:
-                raise SurefootError(f"{name} must lie between {low:g} and {high:g}, is {value:g}")
-        if not self.noise_time > 0.0:
-            raise SurefootError("noise_time must be positive")
+        check_within({n: x for n, x in vars(self).items() if n != "pattern"}, RANGES)
 
 
 PLAIN_GAIT = GaitOptions()

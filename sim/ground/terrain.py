@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, check_within
 from surefoot.sim.common.limits import check_limit
 from surefoot.sim.ground.height_map import LATTICE, HeightMap
 
@@ -91,16 +91,12 @@ class Strip:
         points = bumpy * (abs(x1 - x0) / LATTICE + 1) * (abs(y1 - y0) / LATTICE + 1)
         check_limit("cells", points, "points of a rough strip")
         check_limit("bodies", self.steps, "steps")
-        if max(map(abs, self.heights)) > HIGHEST_STRIP or self.rough > ROUGHEST:
-            raise SurefootError(
-                f"heights must not exceed {HIGHEST_STRIP:g} m, nor rough {ROUGHEST:g} m"
-            )
-        if self.grain > COARSEST:
-            raise SurefootError(f"grain must not exceed {COARSEST:g} m, is {self.grain:g}")
+        if max(map(abs, self.heights)) > HIGHEST_STRIP:
+            raise SurefootError(f"heights must not exceed {HIGHEST_STRIP:g} m")
+        grains = 2 * LATTICE, COARSEST
+        check_within({"rough": self.rough, "grain": self.grain}, {"grain": grains}, ROUGHEST)
         if self.steps and self.rough:
             raise SurefootError("a strip cannot have both steps and rough")
-        if self.rough < 0 or self.grain < 2 * LATTICE:
-            raise SurefootError(f"rough must not be negative, nor grain below {2 * LATTICE} m")
         if self.rough and any(abs(e / LATTICE - round(e / LATTICE)) > 1e-6 for e in self.rectangle):
             raise SurefootError(f"a rough strip's edges must lie on multiples of {LATTICE} m")
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import matrix_from_quaternion, quaternion_from_matrix, slerp
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.clock import Columns, span
 from surefoot.sim.importing.columns import EULER
 from surefoot.sim.importing.map import ImportMap
@@ -150,7 +151,7 @@ def interpolate_reference(t: np.ndarray, poses: Poses) -> tuple[Poses, np.ndarra
     after = np.clip(np.searchsorted(poses.t, t, side="left"), 1, len(poses.t) - 1)
     start, end = poses.t[after - 1], poses.t[after]
     ok = (end - start <= MAX_GAP) | (t == start) | (t == end)
-    position = np.column_stack([np.interp(t, poses.t, x) for x in poses.p.T])
+    position = interpolate_rows(t, poses.t, poses.p)
     attitude = slerp(poses.t, poses.q, t)
     # As recorded, q may stand for its negative.
     opposite = np.sum(attitude * poses.q[after - 1], axis=1, keepdims=True) < 0.0

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log.derived import local_quadratic
 from surefoot.sim.log.reference import Poses
 
@@ -63,7 +64,7 @@ def compare_with_imu(
     turn = (correction * mean.inv()).as_rotvec()
     drift = local_quadratic(poses.t, turn, _DRIFT_WINDOW)[0]
     R_GI = (Rotation.from_rotvec(drift) * mean).as_matrix() @ at_poses
-    at_rows = np.column_stack([np.interp(t, poses.t, x) for x in drift.T])
+    at_rows = interpolate_rows(t, poses.t, drift)
     R_rows = (Rotation.from_rotvec(at_rows) * mean).as_matrix() @ turned
     midway = R_rows[:-1] @ Rotation.from_rotvec(0.5 * gyro[1:] * dt[:, None]).as_matrix()
     force = np.einsum("nij,nj->ni", midway, accel[1:]) + GRAVITY_G

@@ -86,6 +86,13 @@ def group_columns(group: str, joints: tuple[str, ...], legs: tuple[str, ...]) ->
     return tuple(dict.fromkeys(names))
 
 
+def named_columns(
+    prefix: str, values: np.ndarray, parts: Iterable[str] = "xyz"
+) -> dict[str, np.ndarray]:
+    """Columns `<prefix>_<part>` of values (N, C), one for each of C parts."""
+    return {f"{prefix}_{part}": column for part, column in zip(parts, values.T, strict=True)}
+
+
 def joint_prefix(column: str) -> str | None:
     """Prefix of a joint's column, `q_`, `dq_des_`, ...; None for any other column."""
     found = _pattern(column, _OF_JOINTS)

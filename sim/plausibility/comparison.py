@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
@@ -232,7 +233,7 @@ def delay_between(t: np.ndarray, lagging: np.ndarray, witness: np.ndarray, most:
     t = with_short_gaps(t, 2.0 * most)
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], step)
-    a, b = (np.column_stack([np.interp(even, t, one) for one in x.T]) for x in (lagging, witness))
+    a, b = (interpolate_rows(even, t, x) for x in (lagging, witness))
     delay, alike = lag_of(a, b, step, most + step)
     return delay if alike > HARDLY else 0.0
 

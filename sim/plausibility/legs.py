@@ -284,7 +284,7 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
         order, sign = ways[best[leg]]
         swapped, flipped = order != in_order, sign < 0
         columns = view.columns("q", chains[leg][swapped | flipped])
-        kinds = [robot.limbs.kind(j) for j in chains[leg]]
+        kinds = [robot.limbs.kind_of[j] for j in chains[leg]]
         words = ", ".join(f"{kinds[i]} is {kinds[order[i]]}" for i in np.flatnonzero(swapped))
         causes = [f"swapped joints ({words})"] * bool(words) + ["wrong sign"] * bool(flipped.any())
         negative = {view.log.joints[j]: -1.0 for j in chains[leg][flipped]}

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.quaternion import continuous
+from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.log import Log
 from surefoot.sim.plausibility.comparison import AxesMatch, lag_of, match_axes
 from surefoot.sim.plausibility.limits import FEWEST, MIDDLE, RESTS
@@ -159,7 +160,7 @@ class LogView:
 
     def after(self, x: np.ndarray, seconds: float) -> np.ndarray:
         """Values (M, D) of x (N, D) some seconds after the times `at`."""
-        return np.column_stack([np.interp(self.at + seconds, self.t, one) for one in x.T])
+        return interpolate_rows(self.at + seconds, self.t, x)
 
     @cached_property
     def ok(self) -> np.ndarray:

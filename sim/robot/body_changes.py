@@ -30,7 +30,6 @@ class BodyChanges(NamedTuple):
     links: tuple[LinkChange, ...] = ()  # changes of their inertia
 
 
-UNCHANGED_BODY = BodyChanges()
 _CHANGED_FIELDS = (
     *("body_pos", "body_quat", "body_mass"),
     *("body_ipos", "body_iquat", "body_inertia", "body_sameframe"),

@@ -18,7 +18,7 @@ from numba import types
 
 from surefoot.sim.common.copies import copy_row
 from surefoot.sim.common.kernels import kernel, mujoco_function
-from surefoot.sim.robot.body_changes import UNCHANGED_BODY, BodyChanges, bodies_changed
+from surefoot.sim.robot.body_changes import BodyChanges, bodies_changed
 from surefoot.sim.robot.model_file import compiled_model
 
 _mj_kinematics = mujoco_function("mj_kinematics")
@@ -50,7 +50,7 @@ class Dynamics:
     dof_adr: np.ndarray  # (J,)
     hung: np.ndarray  # (J,)
     floating: bool
-    changes: BodyChanges = UNCHANGED_BODY
+    changes: BodyChanges
 
     def inverse(
         self, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray, base: np.ndarray | None = None
@@ -195,9 +195,7 @@ def _dry_friction(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray, np.nda
     return model.dof_frictionloss, 1.0 / R, b / np.clip(d_most, least, most)
 
 
-def dynamics_of(
-    file: Path, joint_names: tuple[str, ...], changes: BodyChanges = UNCHANGED_BODY
-) -> Dynamics:
+def dynamics_of(file: Path, joint_names: tuple[str, ...], changes: BodyChanges) -> Dynamics:
     """Dynamics of a model's file with these changes, for these joints."""
     return replace(_as_drawn(file, joint_names), changes=changes)
 
@@ -215,6 +213,7 @@ def _as_drawn(file: Path, joint_names: tuple[str, ...]) -> Dynamics:
         np.array([joint.dofadr[0] for joint in joints]),
         np.array([_hung(model, int(joint.bodyid[0])) for joint in joints]),
         bool(model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE),
+        BodyChanges(),
     )
 
 

@@ -42,9 +42,20 @@ class Limbs:
         found: dict[int, int] = {j: leg for leg, chain in enumerate(self.chains) for j in chain}
         return tuple(found.get(joint) for joint in range(len(self.joints)))
 
-    def kind(self, joint: int) -> str:
-        """Name that a joint shares with its counterparts on other legs: "thigh" for "FL_thigh"."""
-        return self._kinds[joint]
+    @cached_property
+    def kind_of(self) -> tuple[str, ...]:
+        """Name that each joint shares with its counterparts on other legs, of as many joints:
+        "thigh" for "FL_thigh".
+        """
+        kinds = list(self.joints)
+        for length in {len(chain) for chain in self.chains}:
+            alike = zip(*(chain for chain in self.chains if len(chain) == length), strict=True)
+            for place, like in enumerate(alike, 1):
+                names = [self.joints[joint].split("_") for joint in like]
+                shared = [part for part in names[0] if all(part in one for one in names)]
+                for joint in like:
+                    kinds[joint] = "_".join(shared) or f"joint_{place}"
+        return tuple(kinds)
 
     @property
     def feet_alone(self) -> bool:
@@ -62,7 +73,7 @@ class Limbs:
         found: dict[str, list[str]] = {}
         for chain in self.chains:
             for joint in chain:
-                found.setdefault(self.kind(joint), []).append(self.joints[joint])
+                found.setdefault(self.kind_of[joint], []).append(self.joints[joint])
         return {kind: tuple(joints) for kind, joints in found.items() if len(joints) > 1}
 
     @cached_property
@@ -80,27 +91,6 @@ class Limbs:
         }
         return {side: legs for side, legs in found.items() if legs}
 
-    @cached_property
-    def _kinds(self) -> tuple[str, ...]:
-        kinds = list(self.joints)
-        for place, like in _alike(self.chains):
-            if len(like) == 1:
-                continue
-            names = [self.joints[joint].split("_") for joint in like]
-            shared = "_".join(part for part in names[0] if all(part in one for one in names[1:]))
-            for joint in like:
-                kinds[joint] = shared or f"joint_{place}"
-        return tuple(kinds)
-
-
-def _alike(chains: tuple[tuple[int, ...], ...]) -> Iterable[tuple[int, tuple[int, ...]]]:
-    """Corresponding joints, with their position counted from one, of legs with the same number of
-    joints.
-    """
-    for length in {len(chain): None for chain in chains}:
-        same = [chain for chain in chains if len(chain) == length]
-        yield from enumerate(zip(*same, strict=True), 1)
-
 
 def refuse_foreign(there: Iterable[str], known: tuple[str, ...], what: str, machine: str) -> None:
     """Raise SurefootError for a joint or leg that a machine does not have.
@@ -116,13 +106,10 @@ def refuse_foreign(there: Iterable[str], known: tuple[str, ...], what: str, mach
             raise SurefootError(f"{what} {one} is not one of {machine}'s: {', '.join(known)}")
 
 
-def limbs_by_name(legs: tuple[str, ...], joints: tuple[str, ...]) -> Limbs:
-    """Limbs of joints that are named after their leg, `<leg>_<kind>`, from the body to the foot."""
-    chains = tuple(
-        tuple(i for i, joint in enumerate(joints) if joint.startswith(f"{leg}_")) for leg in legs
-    )
-    return Limbs(legs, joints, chains, tuple(joints[j] for chain in chains for j in chain[1:]))
-
-
-QUADRUPED = limbs_by_name(LEGS, JOINTS)
+QUADRUPED = Limbs(
+    LEGS,
+    JOINTS,
+    chains=tuple((3 * leg, 3 * leg + 1, 3 * leg + 2) for leg in range(len(LEGS))),
+    links=tuple(joint for joint in JOINTS if not joint.endswith("hip")),
+)
 """Four legs of three joints each."""

@@ -187,10 +187,6 @@ class Robot:
         """
         return self._places_and_jacobians(q)[1]
 
-    def foot_rates_I(self, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-        """Angular velocity (N, L, 3) of each foot's link relative to the base, in I [rad/s]."""
-        return self.feet.rates_I(q, dq)
-
     @property
     def feet(self) -> LegFeet:
         """As of `Machine`: by the kinematics of its legs."""

@@ -18,12 +18,11 @@ def stances(stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stances_between_swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same for t (N,) [s] and stands (N,), where bounces, no longer than SHORTEST_FLIGHT, do
-    not interrupt a stance.
+    """The same for t (N,) [s] and stands (N,), where a bounce does not interrupt a stance (as for
+    `swings`).
     """
-    first, end = stances(stands)
-    swung = t[first[1:]] - t[end[:-1] - 1] > SHORTEST_FLIGHT
-    return first[np.insert(swung, 0, True)[: len(first)]], end[np.append(swung, True)[: len(end)]]
+    (first, end), (lifts, lands) = stances(stands), swings(t, stands)
+    return np.append(first[:1], lands), np.append(lifts, end[-1:])
 
 
 def swings(t: np.ndarray, stands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -6,11 +6,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import check_within
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.common.kernels import kernel
 from surefoot.sim.common.quaternion import continuous
-from surefoot.sim.common.series import GaussMarkov, deferred_normals, low_pass_from
+from surefoot.sim.common.series import (
+    SHORTEST_TIME,
+    GaussMarkov,
+    deferred_normals,
+    interpolate_rows,
+    low_pass_from,
+)
 from surefoot.sim.robot import Robot
 
 SLOWEST = 20.0
@@ -19,8 +25,11 @@ FASTEST_LOG = 1e4
 """Rate beyond that of any robot's sensor [Hz]."""
 LARGEST_ERROR = 1e6
 """Largest size of any sensor error, in SI units: far beyond any sensor."""
-SHARES = ("force_noise", "contact_missed", "contact_false")
-"""Errors that are shares, one at most."""
+RANGES = {
+    **dict.fromkeys(("force_noise", "contact_missed", "contact_false"), (0.0, 1.0)),
+    "instability_time": (SHORTEST_TIME, LARGEST_ERROR),
+}
+"""Ranges of errors; others only have their usual limit."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +75,8 @@ class Sensors:
     contact_false: float = 0.0  # share of samples of a lifted foot that report contact
 
     def __post_init__(self):
-        highest = {"rate": FASTEST_LOG} | dict.fromkeys(SHARES, 1.0)
-        for name, value in vars(self).items():
-            most = highest.get(name, LARGEST_ERROR)
-            if not 0.0 <= value <= most:
-                raise SurefootError(f"{name} must lie between 0 and {most:g}, is {value:g}")
-        if self.instability_time == 0.0:
-            raise SurefootError("instability_time must be positive")
-        if 0.0 < self.rate < SLOWEST:
-            raise SurefootError(f"rate must be {SLOWEST:g} Hz at least, is {self.rate:g}")
+        rate = {"rate": (SLOWEST, FASTEST_LOG)} if self.rate else {}
+        check_within(vars(self), RANGES | rate, LARGEST_ERROR)
 
 
 class SpringDeflection(NamedTuple):
@@ -388,7 +390,6 @@ def sampled(frame: pd.DataFrame, rate: float, averages: bool) -> pd.DataFrame:
     found = pd.DataFrame(columns)
     q = [f"ref_q_{axis}" for axis in "wxyz"]
     # A quaternion's sign may change from row to row: the row before decides.
-    ref = continuous(frame[q].to_numpy())
-    turned = np.column_stack([np.interp(then, t, x) for x in ref.T])
+    turned = interpolate_rows(then, t, continuous(frame[q].to_numpy()))
     found[q] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
     return found

@@ -22,6 +22,7 @@ from surefoot.sim.common.kernels import kernel
 from surefoot.sim.effects import Effect
 from surefoot.sim.gait.course import Course
 from surefoot.sim.log import Log
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import (
     STEPS_PER_TICK,
@@ -156,13 +157,10 @@ class WalkingEnvironment(dm_env.Environment):
         log = record(self._plan, motion_of(self._plan.world, first_steps(self._trace, k)))
         if not self._by_position:
             return log
-        still = np.zeros_like(self._wanted)  # commanded indeed: a target that stands, no more
-        asked = {"q_des": self._wanted, "dq_des": still, "tau_ff": still}
-        columns = {
-            f"{group}_{name}": x[settled:k, j]
-            for group, x in asked.items()
-            for j, name in enumerate(JOINTS)
-        }
+        asked = self._wanted[settled:k]
+        columns = named_columns("q_des", asked, JOINTS)
+        for group in ("dq_des", "tau_ff"):  # commanded indeed: a target that stands, no more
+            columns |= named_columns(group, np.zeros_like(asked), JOINTS)
         law = {"kp": self._kp.tolist(), "kd": self._kd.tolist()}
         return replace(log, meta=replace(log.meta, motor_law=law)).with_columns(columns)
 

@@ -3,11 +3,9 @@
 The rows are equal to those of a walk simulated at once.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-import numpy as np
 import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError
@@ -17,7 +15,6 @@ from surefoot.sim.physics.scene import TIMESTEP
 from surefoot.sim.physics.stepper import STEPS_PER_TICK, TICK, simulate_in_pieces
 from surefoot.sim.walk import PIECE_TICKS, SETTLING_TIME, Plan, Sensing
 
-_AT_ONCE = 1 << 20
 LONG_WALK = 1800.0
 """Duration from which a walk is simulated in pieces [s]; at once it would take gigabytes."""
 
@@ -55,11 +52,7 @@ def walk_in_pieces(
     """
     if why := needs_whole(made):
         raise SurefootError(f"scenario {made.scenario.name}: cannot be walked in pieces: {why}")
-    settled = int(
-        np.searchsorted(np.arange(2.0 * SETTLING_TIME / TIMESTEP) * TIMESTEP, SETTLING_TIME)
-    )
-    rows = made.ticks * STEPS_PER_TICK - settled
-    sensing = Sensing(made, rows, _rate(settled, rows))
+    sensing = Sensing(made, made.ticks * STEPS_PER_TICK - round(SETTLING_TIME / TIMESTEP))
     pieces = course_pieces(made.commands, TICK, ticks)
     for motion in simulate_in_pieces(made.world, made.robot, made.gait, pieces, made.seconds):
         if progress:
@@ -70,18 +63,3 @@ def walk_in_pieces(
         )
         if len(motion.tau):
             yield sensing.of(motion)
-
-
-def _rate(settled: int, rows: int) -> float:
-    """`rate_of` the whole log's stamps, which rounding makes slightly uneven, without computing
-    them all.
-    """
-    counts: Counter[float] = Counter()
-    for first in range(0, rows - 1, _AT_ONCE):
-        steps = np.arange(first, min(first + _AT_ONCE, rows - 1) + 1) + settled + 1
-        values, count = np.unique(np.diff(steps * TIMESTEP - SETTLING_TIME), return_counts=True)
-        counts.update(dict(zip(values.tolist(), count.tolist(), strict=True)))
-    order = sorted(counts)
-    upto = np.cumsum([counts[value] for value in order])
-    middle = np.searchsorted(upto, [(rows - 2) // 2, (rows - 1) // 2], side="right")
-    return 1.0 / float(np.mean([order[k] for k in middle]))

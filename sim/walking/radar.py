@@ -7,12 +7,12 @@ radar also sees walls, furniture and people. A frame is a snapshot at a row of t
 robot's own legs are not in view.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from surefoot.sim.common.errors import SurefootError
+from surefoot.sim.common.errors import SurefootError, check_within, errors_in
 from surefoot.sim.common.series import rows_every
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.ground.tiles import add_ground
@@ -54,9 +54,8 @@ class RadarSensor:
     tilt: float = np.radians(15.0)  # downwards
 
     def __post_init__(self):
-        for part in fields(self):
-            if not getattr(self, part.name) >= 0:
-                raise SurefootError(f"radar: {part.name} must not be negative")
+        with errors_in("radar"):
+            check_within(vars(self), {})
 
 
 @dataclass(frozen=True)

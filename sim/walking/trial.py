@@ -55,8 +55,7 @@ def _posture(robot: Robot) -> str:
             f"the keyframe home puts joint {robot.joint_names[worst]} at {robot.q_home[worst]:.2f} "
             f"rad, outside of its range of {low[worst]:.2f} to {high[worst]:.2f}; correct either"
         )
-    feet_B = robot.feet_I(robot.q_home[None])[0] @ robot.R_BI.T
-    bottom = feet_B[:, 2] - robot.foot_radius
+    bottom = robot.home_feet_B[:, 2] - robot.foot_radius
     first, last = int(np.argmax(bottom)), int(np.argmin(bottom))
     if (apart := bottom[first] - bottom[last]) > _UNEVEN * robot.leg_length:
         return (

@@ -4,15 +4,16 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from reference_columns import reference_columns
 from scipy.spatial.transform import Rotation
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, UpdateRecord
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.observer.predict import Prediction
-from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.ground.ground_metadata import ground_metadata
 from surefoot.sim.ground.terrain import Ground, Patch
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.legs import JOINTS, LEGS
 
@@ -43,15 +44,11 @@ def make_walk(seconds: float) -> Walk:
     q[:, :, 1] += 0.2 * swing
     contact = swing < 0.3
     slip = np.where(contact & (t[:, None] > seconds / 2), 0.3, 0.0)
-    columns = {"t": t}
-    for k, axis in enumerate("xyz"):
-        columns |= {f"ref_p_{axis}": p_GI[:, k], f"ref_v_{axis}": v_GI[:, k]}
-    quaternion = quaternion_from_matrix(R_GI)
-    columns |= {f"ref_q_{axis}": quaternion[:, k] for k, axis in enumerate("wxyz")}
-    columns |= {f"q_{joint}": q.reshape(-1, 12)[:, k] for k, joint in enumerate(JOINTS)}
-    for k, leg in enumerate(LEGS):
-        columns |= {f"contact_{leg}": contact[:, k].astype(float), f"slip_{leg}": slip[:, k]}
-        columns |= {f"mu_{leg}": np.full(len(t), 0.6)}
+    columns = {"t": t} | reference_columns(R_GI, p_GI, v_GI)
+    columns |= named_columns("q", q.reshape(-1, 12), JOINTS)
+    of_legs = {"contact": contact.astype(float), "slip": slip, "mu": np.full_like(slip, 0.6)}
+    for name, values in of_legs.items():
+        columns |= named_columns(name, values, LEGS)
     x, y = p_GI[len(t) // 2, :2]
     ground = ground_metadata(Ground(0.8, (Patch(x, y, 1.0, 1.5, 0.2),)))
     meta = Meta(rate=RATE, robot="spot_class", scenario="arc", model=ground)

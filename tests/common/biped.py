@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from reference_columns import reference_columns
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import Log, Meta
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
 from surefoot.sim.sensors.streams import imu_between_states
@@ -70,21 +71,16 @@ def biped_log(robot: Robot, seconds: float = 16.0, built: Robot | None = None, *
     dq = np.gradient(q, t, axis=0)
     offset = np.array([encoder.get(joint, 0.0) for joint in robot.limbs.joints])
     rng = np.random.default_rng(0)
-    n = len(t) - 1
-    columns = {"t": t[1:]}
-    noisy = {"gyro": (gyro, 1e-3), "accel": (accel, 2e-2)}
-    for name, (values, noise) in noisy.items():
-        rows = values + noise * rng.normal(size=values.shape)
-        columns |= {f"{name}_{a}": rows[:, i] for i, a in enumerate("xyz")}
-    for name, values, noise in (("q", q + offset, 2e-4), ("dq", dq, 5e-3)):
-        rows = values[1:] + noise * rng.normal(size=(n, q.shape[1]))
-        columns |= {f"{name}_{j}": rows[:, i] for i, j in enumerate(robot.limbs.joints)}
-    for leg, name in enumerate(robot.limbs.legs):
-        columns[f"contact_{name}"] = contact[1:, leg].astype(float)
-    attitude = quaternion_from_matrix(R_GI[1:])
-    columns |= {f"ref_p_{a}": p_GI[1:, i] for i, a in enumerate("xyz")}
-    columns |= {f"ref_q_{a}": attitude[:, i] for i, a in enumerate("wxyz")}
-    columns |= {f"ref_v_{a}": v_GI[1:, i] for i, a in enumerate("xyz")}
+    columns, joints = {"t": t[1:]}, robot.limbs.joints
+    for name, values, noise, parts in (
+        ("gyro", gyro, 1e-3, "xyz"),
+        ("accel", accel, 2e-2, "xyz"),
+        ("q", (q + offset)[1:], 2e-4, joints),
+        ("dq", dq[1:], 5e-3, joints),
+    ):
+        columns |= named_columns(name, values + noise * rng.normal(size=values.shape), parts)
+    columns |= named_columns("contact", contact[1:].astype(float), robot.limbs.legs)
+    columns |= reference_columns(R_GI[1:], p_GI[1:], v_GI[1:])
     return Log(pd.DataFrame(columns), Meta(rate=RATE, robot=str(robot.file)), "biped")
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from surefoot.sim.effects.base import with_columns
+from surefoot.sim.log.schema import named_columns
 
 
 def pushed(log, robot, spans, force):
@@ -12,4 +12,4 @@ def pushed(log, robot, spans, force):
     share = log.contact * on[:, None] / np.maximum(log.contact.sum(axis=1, keepdims=True), 1)
     held = np.einsum("nlik,i->nlk", robot.feet_jacobian_I(log.q), np.asarray(force))
     tau = log.tau + (held * share[..., None]).reshape(log.tau.shape)
-    return with_columns(log, {f"tau_{j}": tau[:, i] for i, j in enumerate(log.joints)})
+    return log.with_columns(named_columns("tau", tau, log.joints))

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
+from reference_columns import reference_columns
+from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.log import JOINTS, Log, Meta
+from surefoot.sim.log.schema import named_columns
 
 LEG = 0.5
 
@@ -61,27 +63,18 @@ def synthetic_walk(
         axis=1,
     )
     yaw = 0.3 * _wander(rng, t)
-    cos, sin, one = np.cos(yaw), np.sin(yaw), np.ones_like(yaw)
-    R_GI = np.moveaxis(
-        np.array([[cos, -sin, 0 * one], [sin, cos, 0 * one], [0 * one, 0 * one, one]]), 2, 0
-    )
+    R_GI = Rotation.from_euler("z", yaw[:, None]).as_matrix()
     v_G = np.einsum("nij,nj->ni", R_GI, v_I)
     columns = {"t": t}
-    columns |= _named("gyro", np.stack((0 * t, 0 * t, np.gradient(yaw, t)), axis=1))
-    columns |= _named("accel", np.tile([0.0, 0.0, 9.81], (len(t), 1)))
+    columns |= named_columns("gyro", np.stack((0 * t, 0 * t, np.gradient(yaw, t)), axis=1))
+    columns |= named_columns("accel", np.tile([0.0, 0.0, 9.81], (len(t), 1)))
     for group, values in (
         ("q", q),
         ("dq", dq + noise * rng.standard_normal(dq.shape)),
         ("tau", 20 * np.sin(q)),
     ):
-        flat = values.reshape(len(t), 12)
-        columns |= {f"{group}_{joint}": flat[:, i] for i, joint in enumerate(JOINTS)}
-    columns |= _named("ref_p", np.cumsum(v_G, axis=0) / rate)
-    columns |= {
-        f"ref_q_{axis}": values
-        for axis, values in zip("wxyz", quaternion_from_matrix(R_GI).T, strict=True)
-    }
-    columns |= _named("ref_v", v_G)
+        columns |= named_columns(group, values.reshape(len(t), 12), JOINTS)
+    columns |= reference_columns(R_GI, np.cumsum(v_G, axis=0) / rate, v_G)
     return Log(pd.DataFrame(columns), Meta(rate=rate, robot=robot), name)
 
 
@@ -89,8 +82,9 @@ def resting(seconds: float, rate: float = 500.0, gravity: float = 9.81) -> Log:
     """An IMU that lies still, with white noise of 1e-3 rad/s and 1e-2 m/s^2."""
     rng = np.random.default_rng(0)
     t = np.arange(round(seconds * rate)) / rate
-    columns = {"t": t} | _named("gyro", 1e-3 * rng.standard_normal((len(t), 3)))
-    columns |= _named("accel", 1e-2 * rng.standard_normal((len(t), 3)) + [0.0, 0.0, gravity])
+    columns = {"t": t} | named_columns("gyro", 1e-3 * rng.standard_normal((len(t), 3)))
+    accel = 1e-2 * rng.standard_normal((len(t), 3)) + [0.0, 0.0, gravity]
+    columns |= named_columns("accel", accel)
     return Log(pd.DataFrame(columns), Meta(rate=rate), "rest")
 
 
@@ -105,7 +99,3 @@ def _wander(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     waves = rng.uniform(0.3, 2.0, size=5)
     turns = rng.uniform(0, 2 * np.pi, size=5)
     return np.sin(np.outer(t, waves) + turns).sum(axis=1) / np.sqrt(2.5)
-
-
-def _named(group: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    return {f"{group}_{axis}": values[:, i] for i, axis in enumerate("xyz")}

@@ -11,10 +11,15 @@ from surefoot.models.residuals.layout import layout_for
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.log import LEGS, Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.robot.limbs import QUADRUPED, Limbs, limbs_by_name
+from surefoot.sim.robot.limbs import QUADRUPED, Limbs
 
-BIPED = limbs_by_name(("L", "R"), ("L_hip", "L_knee", "L_ankle", "R_hip", "R_knee", "R_ankle"))
-ARM = limbs_by_name((), ("shoulder", "elbow"))
+BIPED = Limbs(
+    ("L", "R"),
+    ("L_hip", "L_knee", "L_ankle", "R_hip", "R_knee", "R_ankle"),
+    ((0, 1, 2), (3, 4, 5)),
+    ("L_knee", "L_ankle", "R_knee", "R_ankle"),
+)
+ARM = Limbs((), ("shoulder", "elbow"), ())
 
 
 def test_a_biped_has_columns_for_its_two_legs_and_six_joints():

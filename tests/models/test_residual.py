@@ -90,7 +90,7 @@ def test_leg_velocity_is_the_rigid_body_formula():
     got = turned.feet.imu_velocity(q, dq, omega, up, np.ones((5, 4), bool))
     arm = turned.foot_radius[:, None] * up[:, None]
     jdq = np.einsum("nlij,nlj->nli", turned.feet_jacobian_I(q), dq.reshape(5, 4, 3))
-    rolling = np.cross(omega[:, None] + turned.foot_rates_I(q, dq), arm)
+    rolling = np.cross(omega[:, None] + turned.feet.rates_I(q, dq), arm)
     expected = -jdq - np.cross(omega[:, None], turned.feet_I(q)) + rolling
     assert_allclose(got, expected, atol=1e-12)
 

@@ -49,25 +49,20 @@ def walked(tmp_path):
     return make
 
 
-def columns(log, group):
-    own = [n for n in log.frame if str(n).startswith(f"{group}_")]
-    return log.frame[[n for n in own if group == "tau_ff" or not n.startswith("tau_ff")]].to_numpy()
-
-
 def test_a_late_reference_is_late_and_nothing_else_changes(plain, walked):
     log = walked("reference_delay", "all", 0.02)
     then = np.maximum(np.arange(len(log.t)) - 10, 0)
     for group in (*STREAMS, *REFERENCE, *TRUTH):
-        same = columns(plain, group)
+        same = getattr(plain, group)
         wanted = same[then] if group in REFERENCE else same
-        assert_allclose(columns(log, group), wanted, atol=1e-9)
+        assert_allclose(getattr(log, group), wanted, atol=1e-9)
 
 
 def test_imu_position_swings_on_its_arm(plain, walked):
     """What the moved sensor feels beyond the nominal one carries it along the arm that turns."""
     log = walked("imu_position", "x", 0.2)
     assert_array_equal(log.gyro, plain.gyro)
-    assert_array_equal(columns(log, "ref_p"), columns(plain, "ref_p"))
+    assert_array_equal(log.ref_p, plain.ref_p)
     R = plain.ref_R_GI
     mean = R[:-1] @ mean_rotation(plain.gyro[1:] * TIMESTEP)
     apart = np.einsum("nij,nj->ni", mean, (log.accel - plain.accel)[1:])
@@ -84,7 +79,7 @@ def test_imu_position_swings_on_its_arm(plain, walked):
 def test_imu_lowpass_is_of_first_order(plain, walked):
     log, keep = walked("imu_lowpass", "all", 0.004), np.exp(-TIMESTEP / 0.004)
     for group, rounded in ROUNDED.items():
-        x, y = columns(plain, group), columns(log, group)
+        x, y = getattr(plain, group), getattr(log, group)
         assert_allclose(y[1:], keep * y[:-1] + (1 - keep) * x[1:], atol=2 * rounded)
         assert np.abs(np.diff(y, axis=0)).mean() < 0.9 * np.abs(np.diff(x, axis=0)).mean()
     assert_array_equal(log.q, plain.q)
@@ -107,7 +102,7 @@ def test_clock_scale_drifts_one_stream_against_the_others(plain, walked, target)
     }  # fmt: skip
     then = plain.t[0] + 0.9899 * (plain.t - plain.t[0])
     for group in (*STREAMS, *REFERENCE):
-        was, now = columns(plain, group), columns(log, group)
+        was, now = getattr(plain, group), getattr(log, group)
         if group in groups[target]:
             drifted = np.column_stack([np.interp(then, plain.t, x) for x in was.T])
             if target == "imu":
@@ -126,7 +121,7 @@ def test_mounting_rotation_turns_imu_and_reference_alike(plain, walked):
     assert_allclose(log.gyro, plain.gyro @ turn, atol=3 * ROUNDED["gyro"])
     assert_allclose(log.accel, plain.accel @ turn, atol=3 * ROUNDED["accel"])
     for group in ("q", "tau", "contact", "ref_p", "ref_v"):
-        assert_array_equal(columns(log, group), columns(plain, group))
+        assert_array_equal(getattr(log, group), getattr(plain, group))
 
 
 def heights(log: Log) -> np.ndarray:

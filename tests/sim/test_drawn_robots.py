@@ -90,9 +90,9 @@ def test_it_walks_on_feet_of_any_shape(tmp_path, foot):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (quadruped_mjcf(f"{SPHERE}{SHIN}"), ("fl3", "as low as foot")),
+        (quadruped_mjcf(f"{SPHERE}{SHIN}"), ("br3", "as low as foot")),
         (quadruped_mjcf(trunk='size=".2 .1 .5" mass="6"'), ("trunk", "as low as foot")),
-        (quadruped_mjcf().replace('"-1.5 3"', '"-0.2 0.4"', 1), ("not level", "FL", "range")),
+        (quadruped_mjcf().replace('"-1.5 3"', '"-0.2 0.4"', 1), ("not level", "RR", "range")),
         (quadruped_mjcf('<geom size=".06"/>'), ("fl_j3", "wheel")),
         (quadruped_mjcf(torque=2.0), ("falls", "motor of joint", "2 N m")),
         (

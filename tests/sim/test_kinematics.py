@@ -6,18 +6,17 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from refusals import refused
 from synthetic import without
 
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
-from surefoot.sim.ground.terrain import Ground
+from surefoot.sim.log.schema import named_columns
 from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
 from surefoot.sim.robot.kinematics import axis_rotation
-from surefoot.sim.scenario import Scenario, Segment
-from surefoot.sim.walk import walk
 
 
 @pytest.mark.parametrize("name", ["spot_class", "v60_class"])
@@ -47,7 +46,7 @@ def test_foot_rate_is_that_of_a_rigid_last_link(robot):
     e = 1e-6
     spread = [o.feet_I(q + e * dq) - o.feet_I(q - e * dq) for o in (other, robot)]
     relative = (spread[0] - spread[1]) / (2 * e)
-    np.testing.assert_allclose(np.cross(robot.foot_rates_I(q, dq), arm), relative, atol=1e-7)
+    np.testing.assert_allclose(np.cross(robot.feet.rates_I(q, dq), arm), relative, atol=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 0.3, np.pi - 1e-9, np.pi, 5.0])
@@ -63,8 +62,7 @@ def test_axis_rotation_is_a_rotation_that_adds_up(angle):
 
 
 def test_joint_angles_of_another_shape_are_refused(robot):
-    with pytest.raises(ValueError, match=r"\(N, 12\)"):
-        robot.feet_I(np.zeros(12))
+    refused(r"\(N, 12\)", robot.feet_I, np.zeros(12), error=ValueError)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +168,7 @@ def test_it_is_mujocos_with_everything_that_a_joint_may_have(tmp_path, friction,
       <geom size="0.05" mass="0.5"/></body></body></body></worldbody>
       <tendon><fixed stiffness="3" damping="0.1"><joint joint="a" coef="1"/>
       <joint joint="b" coef="-1"/></fixed></tendon></mujoco>""")
-    dynamics, rng = dynamics_of(file, ("a", "b", "c")), np.random.default_rng(11)
+    dynamics, rng = dynamics_of(file, ("a", "b", "c"), BodyChanges()), np.random.default_rng(11)
     q, dq, ddq = rng.standard_normal((3, 50, 3)) * [[[1.0]], [[scale]], [[scale]]]
     _, torque = dynamics.inverse(q, dq, ddq)
     data = mujoco.MjData(dynamics.model)
@@ -179,11 +177,6 @@ def test_it_is_mujocos_with_everything_that_a_joint_may_have(tmp_path, friction,
         mujoco.mj_inverse(dynamics.model, data)
         assert_allclose(torque[k], data.qfrc_inverse, atol=1e-9)
     assert np.abs(torque).max() > 1.0
-
-
-@pytest.fixture(scope="module")
-def log(robot):
-    return walk(Scenario("walk", (Segment(4.0, 0.5, turn=0.3),), Ground(0.8)), robot, seed=2)
 
 
 def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
@@ -198,8 +191,8 @@ def test_feet_carry_the_robot_and_nothing_in_the_air(log, robot):
 def test_feet_share_the_load_by_their_sensors_in_any_unit_before_they_count_as_standing(log, robot):
     """Of contacts that begin and end at half the load, as those of a pad that is read so."""
     half = 0.5 * np.median(log.force[log.contact])
-    delayed = {f"contact_{leg}": 1.0 * (log.force[:, i] > half) for i, leg in enumerate(log.legs)}
-    by_counts = {f"force_{leg}": 7.0 + 3.0 * log.force[:, i] for i, leg in enumerate(log.legs)}
+    delayed = named_columns("contact", 1.0 * (log.force > half), log.legs)
+    by_counts = named_columns("force", 7.0 + 3.0 * log.force, log.legs)
     seen = log.with_columns(delayed)
     up_B = log.ref_R_GI[:, 2] @ robot.R_BI.T
     walks = log.t - log.t[0] > 1.0

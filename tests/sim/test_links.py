@@ -9,14 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 from refusals import refused
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.effects import CATALOGUE, effect
 from surefoot.sim.log import Log
 from surefoot.sim.physics.scene import robot_spec
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.kinematics import feet
-from surefoot.sim.robot.legs import find_legs
-from surefoot.sim.robot.limbs import limbs_by_name
+from surefoot.sim.robot.legs import LEGS, find_legs
+from surefoot.sim.robot.limbs import Limbs
 
 SPOT = Robot.load("spot_class")
 LOG = cast(Log, SimpleNamespace())
@@ -33,18 +32,31 @@ def test_what_a_leg_lacks_is_looked_for_up_to_a_size_that_its_parts_have(name, t
     low, _ = kind.bounds_on(SPOT.limbs, target)
     assert low <= -least
     assert low > -1.04 * least
-    assert kind.bounds_on(limbs_by_name((), ("slide", "lift")))[0] <= 5.0 * low
+    assert kind.bounds_on(Limbs((), ("slide", "lift"), ()))[0] <= 5.0 * low
 
 
-@pytest.mark.parametrize("target", ["FL_z", "RR_x", "FR_y"])
-def test_a_turned_leg_has_the_feet_of_the_compiled_model(target):
-    spec, one = robot_spec(SPOT), effect("leg_heading", target, 0.05)
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        *(("leg_heading", target) for target in ("FL_z", "RR_x", "FR_y")),
+        *(("link_length", f"{leg}_{link}") for leg in LEGS for link in ("thigh", "calf")),
+        ("hip_offset", "RL_y"),
+    ],
+)
+def test_an_altered_leg_has_the_feet_of_the_compiled_model(name, target):
+    """Two roads to the same leg: MuJoCo's edited bodies, and the constants that a filter uses."""
+    spec, one = robot_spec(SPOT), effect(name, target, 0.02)
     one.edit_spec(spec, SPOT)
     q = SPOT.q_home + np.random.default_rng(1).normal(0, 0.3, (20, 12))
     simulated = feet(find_legs(spec.compile(), "spot").constants, q, SPOT.R_BI, SPOT.p_BI)[0]
     _, known = one.compensate(LOG, SPOT)
-    assert_allclose(known.feet_I(q), simulated, atol=1e-9)
-    assert np.abs(simulated - SPOT.feet_I(q)).max() > 5e-3
+    assert_allclose(known.feet_I(q), simulated, atol=1e-12)
+    moved = np.linalg.norm(simulated - SPOT.feet_I(q), axis=2)
+    leg = LEGS.index(target[:2])
+    if name != "leg_heading":
+        assert_allclose(moved[:, leg], 0.02, atol=1e-12)
+    assert moved[:, leg].max() > 2e-3
+    assert_allclose(np.delete(moved, leg, axis=1), 0.0, atol=1e-12)
 
 
 def test_a_leg_whose_file_gives_angles_is_turned_too():
@@ -106,8 +118,8 @@ def test_the_largest_moment_of_a_link_stays_at_most_the_sum_of_the_others():
     assert 0.0 < spare < least
     effect("link_inertia", "FL_calf", -0.99 * spare).edit_spec(spec, SPOT)
     assert spec.compile() is not None
-    with pytest.raises(SurefootError, match="cannot be taken"):
-        effect("link_inertia", "FL_calf", -1.01 * spare).edit_spec(robot_spec(SPOT), SPOT)
+    more = effect("link_inertia", "FL_calf", -1.01 * spare)
+    refused("cannot be taken", more.edit_spec, robot_spec(SPOT), SPOT)
 
 
 def test_inertias_that_logs_show_are_no_bound():

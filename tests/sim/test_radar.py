@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from reference_columns import reference_columns
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.ground.terrain import Ground, Strip
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.scenario import Scenario, Segment
@@ -29,13 +29,10 @@ def log() -> Log:
     R = Rotation.from_euler(
         "ZYX", np.column_stack([0.4 * t, 0.1 * np.sin(9 * t), 0.1 * np.sin(7 * t)])
     ).as_matrix()
-    q = quaternion_from_matrix(R)
     p = np.column_stack([0.7 * t, np.sin(t), 0.5 + 0.03 * np.sin(12 * t)])
     v = np.column_stack([np.full(2000, 0.7), np.cos(t), 0.36 * np.cos(12 * t)])
-    columns = {"t": t}
-    for name, axes, values in (("p", "xyz", p), ("v", "xyz", v), ("q", "wxyz", q)):
-        columns |= {f"ref_{name}_{a}": values[:, k] for k, a in enumerate(axes)}
-    return Log(pd.DataFrame(columns), Meta(rate=500.0, robot="spot_class", scenario="flat", seed=4))
+    frame = pd.DataFrame({"t": t} | reference_columns(R, p, v))
+    return Log(frame, Meta(rate=500.0, robot="spot_class", scenario="flat", seed=4))
 
 
 def in_world(log: Log, seen: Radar) -> tuple[np.ndarray, np.ndarray]:
@@ -108,4 +105,4 @@ def test_it_looks_forward_and_down_from_the_front_hips(robot):
 def test_without_a_world_it_says_so(log, robot):
     other = Scenario("other", (Segment(1.0),), FLAT)
     refused("radar: the log is of scenario flat and seed 4", radar, log, other, robot)
-    refused("radar: ghosts must not be negative", RadarSensor, ghosts=-0.1)
+    refused("radar: ghosts must lie between 0 and inf, is -0.1", RadarSensor, ghosts=-0.1)

@@ -1,5 +1,6 @@
 """Legs found by the kinematic tree alone are the legs that MuJoCo moves."""
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,12 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from good_texts import URDF
-from quadruped_mjcf import UNSEEN
+from quadruped_mjcf import SPHERE, UNSEEN, quadruped_mjcf
 from refusals import refused
 from written import written
 
 from surefoot.scenarios.robot_card import robot_card
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.ground.terrain import Ground
 from surefoot.sim.log import Log, Meta
 from surefoot.sim.physics.scene import build_world
@@ -69,24 +69,6 @@ def test_home_stands(robot):
     assert ((robot.q_home > lower) & (robot.q_home < upper)).all()
 
 
-MODEL = """<mujoco model="odd"><worldbody><body name="base"><freejoint/>
-<geom type="box" size=".2 .1 .1"/>{legs}</body></worldbody>{actuators}</mujoco>"""
-LEG = """<body name="h{i}" pos="{x} {y} 0"><joint name="h{i}" axis="1 0 0"/>
-<geom type="sphere" size=".03"/><body name="t{i}" pos="0 {o} 0"><joint name="t{i}" axis="0 1 0"/>
-<geom type="sphere" size=".03"/><body name="c{i}" pos="0 0 -.2"><joint name="c{i}" axis="0 1 0"/>
-<geom type="{foot}" size=".02 .02 .02" pos="0 0 -.2"/></body></body></body>"""
-
-
-def odd_robot(places, foot="sphere", motors=True) -> str:
-    legs = "".join(
-        LEG.format(i=i, x=x, y=y, o=0.05 if y > 0 else -0.05, foot=foot)
-        for i, (x, y) in enumerate(places)
-    )
-    names = [f"{part}{i}" for i in range(len(places)) for part in "htc"]
-    drives = "".join(f'<motor joint="{n}" ctrlrange="-20 20"/>' for n in names)
-    return MODEL.format(legs=legs, actuators=f"<actuator>{drives}</actuator>" if motors else "")
-
-
 def disc(radius: float) -> str:
     """Vertices of a disc that turns about y."""
     turned = np.arange(16) * np.pi / 8
@@ -94,14 +76,15 @@ def disc(radius: float) -> str:
     return " ".join(f"{x:.4f} {y} {z:.4f}" for x, z in rim for y in (-0.02, 0.02))
 
 
-def with_mesh(text: str, vertices: str, pos: str, also: str = "") -> str:
+def with_mesh(vertices: str, pos: str, also: str = "") -> str:
     """A robot whose feet are this mesh, and have other shapes beside it."""
     asset = f'<asset><mesh name="foot" vertex="{vertices}"/></asset><worldbody>'
-    shape = f'mesh="foot" pos="{pos}"/>{also}'
-    return text.replace("<worldbody>", asset).replace('size=".02 .02 .02" pos="0 0 -.2"/>', shape)
+    text = quadruped_mjcf(f'<geom type="mesh" mesh="foot" pos="{pos}"/>{also}')
+    return text.replace("<worldbody>", asset)
 
 
-CORNERS = [(-0.2, -0.1), (0.2, -0.1), (-0.2, 0.1), (0.2, 0.1)]
+def without_motors(text: str) -> str:
+    return re.sub("<actuator>.*</actuator>", "", text)
 
 
 def odd(folder: Path, text: str) -> Robot:
@@ -109,15 +92,15 @@ def odd(folder: Path, text: str) -> Robot:
 
 
 def test_names_and_order_in_the_file_do_not_matter(tmp_path):
-    robot = odd(tmp_path, odd_robot(CORNERS))
-    assert robot.joint_names[:3] == ("h3", "t3", "c3")
-    assert robot.joint_names[9:] == ("h0", "t0", "c0")
+    robot = odd(tmp_path, quadruped_mjcf())
+    assert robot.joint_names[:3] == ("fl_j1", "fl_j2", "fl_j3")
+    assert robot.joint_names[9:] == ("br_j1", "br_j2", "br_j3")
 
 
 def test_legs_of_unlike_lengths_stand_on_one_ground(tmp_path):
-    text = odd_robot(CORNERS)
-    for hind in ("c0", "c2"):
-        shank = f'<body name="{hind}" pos="0 0 -.'
+    text = quadruped_mjcf(knee='axis="0 1 0"')
+    for hind in ("br3", "bl3"):
+        shank = f'<body name="{hind}" pos="0 0 -0.'
         text = text.replace(f'{shank}2">', f'{shank}15">')
     robot = odd(tmp_path, text)
     assert np.ptp(robot.feet_I(robot.q_home[None])[0, :, 2]) < 1e-6
@@ -131,14 +114,13 @@ def test_a_mesh_foot_is_the_end_of_the_mesh_that_reaches_farthest(tmp_path):
     """A bounding box has corners where a round foot has nothing, and a shank beside it that lies
     level in the model's zero pose has them lower than the foot."""
     shank = '<geom type="box" size=".1 .02 .03" pos=".1 0 0"/>'
-    text = with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.03), "0.2 0 0", shank)
-    robot = odd(tmp_path, text)
+    robot = odd(tmp_path, with_mesh(disc(0.03), "0.2 0 0", shank))
     np.testing.assert_allclose(robot.foot_radius, 0.03, rtol=0.03)
     np.testing.assert_allclose(robot.foot_places, [[0.2, 0.0, 0.0]] * 4, atol=1e-3)
 
 
 def test_a_leg_that_is_a_capsule_stands_on_its_end(tmp_path):
-    robot = odd(tmp_path, odd_robot(CORNERS, foot="capsule"))
+    robot = odd(tmp_path, quadruped_mjcf('<geom type="capsule" size=".02 .02" pos="0 0 -.2"/>'))
     np.testing.assert_allclose(robot.foot_radius, 0.02)
     np.testing.assert_allclose(robot.foot_places, [[0.0, 0.0, -0.22]] * 4, atol=1e-12)
 
@@ -176,25 +158,30 @@ def test_lying_rods_are_the_sole_of_a_leg_that_can_level_it(tmp_path, rod, half,
 
 
 def edited(old: str, new: str, **options) -> str:
-    return odd_robot(CORNERS, **options).replace(old, new)
+    return quadruped_mjcf(**options).replace(old, new)
 
 
-CONNECT = '<equality><connect body1="c2" body2="base" anchor="0 0 0"/></equality><actuator>'
-WAIST = '<body><joint name="waist"/><geom size=".1"/><body name="h0"'
+CONNECT = '<equality><connect body1="bl3" body2="trunk" anchor="0 0 0"/></equality>'
+WAIST = '<body><joint name="waist"/><geom size=".1"/><body name="br1"'
+NO_LEGS = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
+ABREAST = [(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (MODEL.format(legs="", actuators=""), "none of its 0 chains"),
-        (odd_robot([(0.1, 0.1), (0.2, 0.1), (0.3, 0.1), (0.4, 0.1)]), "front, rear"),
-        (edited('.02" pos="0 0 -.2"', '.02" euler="90 0 0"', foot="cylinder"), "for a foot"),
-        (with_mesh(odd_robot(CORNERS, foot="mesh"), disc(0.08), "0 0 0"), "the axle of a wheel"),
-        (edited('name="c0" axis', 'name="c0" type="slide" axis'), "joint c0 of a leg slides"),
-        (edited('name="h1" axis', 'name="h1" type="ball" axis', motors=False), "is a ball joint"),
-        (edited("<actuator>", CONNECT), "a closed loop"),
+        (NO_LEGS, "none of its 0 chains"),
+        (quadruped_mjcf(places=ABREAST), "front, rear"),
+        (quadruped_mjcf('<geom type="cylinder" size=".02 .02" euler="1.57 0 0"/>'), "for a foot"),
+        (with_mesh(disc(0.08), "0 0 0"), "the axle of a wheel"),
+        (edited('"br_j3" axis', '"br_j3" type="slide" axis'), "joint br_j3 of a leg slides"),
         (
-            edited('<body name="h0"', WAIST).replace("</worldbody>", "</body></worldbody>"),
+            without_motors(edited('axis="0 1 0" range="-1.5 3"', 'type="ball"')),
+            "joint fl_j2 of a leg is a ball joint",
+        ),
+        (quadruped_mjcf(more=CONNECT), "a closed loop"),
+        (
+            edited('<body name="br1"', WAIST).replace("</worldbody>", "</body></worldbody>"),
             "legs share hinge waist",
         ),
         ("<mujoco", "cannot read"),
@@ -207,7 +194,7 @@ def test_what_cannot_be_found_is_said_in_one_line(tmp_path, text, words):
 def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path, monkeypatch):
     package = tmp_path / "robot_descriptions"
     package.mkdir()
-    (tmp_path / "odd.xml").write_text(odd_robot(CORNERS))
+    (tmp_path / "odd.xml").write_text(quadruped_mjcf())
     (package / "odd_mj_description.py").write_text(f"MJCF_PATH = {str(tmp_path / 'odd.xml')!r}")
     text = "Cmd('git') failed due to: exit code(128)\\n stderr: 'fatal: no such host'"
     (package / "gone_mj_description.py").write_text(f'raise OSError("{text}")')
@@ -226,10 +213,10 @@ def test_robot_descriptions_are_found_by_name_and_failures_are_one_line(tmp_path
 
 def test_the_imu_is_where_the_gyro_sits_whatever_it_is_called(tmp_path):
     """A model without one has the base frame for it, and says so."""
-    assert odd(tmp_path, odd_robot(CORNERS)).imu is None
-    site = '<freejoint/><site name="box" pos=".1 0 .02" quat="0 0 0 1"/>'
-    sensor = '<sensor><gyro site="box"/></sensor></mujoco>'
-    robot = odd(tmp_path, edited("<freejoint/>", site).replace("</mujoco>", sensor))
+    assert odd(tmp_path, edited('<site name="imu"/>', "")).imu is None
+    site = '<site name="box" pos=".1 0 .02" quat="0 0 0 1"/>'
+    sensor = '<sensor><gyro site="box"/></sensor>'
+    robot = odd(tmp_path, edited('<site name="imu"/>', site, more=sensor))
     assert robot.imu == "box"
     np.testing.assert_allclose(robot.p_BI, [0.1, 0.0, 0.02])
     np.testing.assert_allclose(robot.R_BI, np.diag([-1.0, -1.0, 1.0]), atol=1e-12)
@@ -240,10 +227,8 @@ def with_visuals(inertial: str, shape: str) -> str:
     files = """<asset><texture name="skin" type="2d" file="skin.png"/>
     <mesh name="hull" file="hull.stl"/><material name="metal" texture="skin"/></asset>"""
     shapes = f'<freejoint/>{inertial}<geom type="mesh" mesh="hull" material="metal" {shape}/>'
-    text = odd_robot(CORNERS).replace("<worldbody>", f"{files}<worldbody>")
-    return text.replace("<freejoint/>", shapes).replace(
-        'size=".2 .1 .1"/>', 'size=".2 .1 .1" material="metal"/>'
-    )
+    text = quadruped_mjcf(trunk='size=".2 .1 .1" material="metal"')
+    return text.replace("<worldbody>", f"{files}<worldbody>").replace("<freejoint/>", shapes)
 
 
 INERTIAL = '<inertial pos="0 0 0" mass="5" diaginertia=".1 .1 .1"/>'
@@ -253,7 +238,8 @@ INERTIAL = '<inertial pos="0 0 0" mass="5" diaginertia=".1 .1 .1"/>'
 def test_visuals_whose_files_are_missing_are_left_out(tmp_path, inertial, density):
     path, whole = tmp_path / "odd.xml", tmp_path / "whole.xml"
     path.write_text(with_visuals(inertial, f'{UNSEEN} density="{density}"'))
-    whole.write_text(edited("<freejoint/>", f"<freejoint/>{inertial}"))
+    plain = 'size=".2 .1 .1"'
+    whole.write_text(edited("<freejoint/>", f"<freejoint/>{inertial}", trunk=plain))
     robot = Robot.load(path)
     assert robot.mass == Robot.load(whole).mass
     assert robot.spec().compile().ngeom == compiled_model(whole).ngeom
@@ -296,15 +282,16 @@ def test_the_solver_of_a_walk_is_not_the_robots(tmp_path):
 
 def test_a_foot_that_touches_by_its_scene_alone_is_not_walked(tmp_path):
     """Its legs are read from the shapes at their ends, but it would fall through other ground."""
-    robot = odd(tmp_path, edited("<geom ", f"<geom {UNSEEN} "))
+    unseen = SPHERE.replace("/>", f" {UNSEEN}/>"), f'size=".2 .1 .05" mass="6" {UNSEEN}'
+    robot = odd(tmp_path, quadruped_mjcf(unseen[0], trunk=unseen[1]))
     refused("no shape of foot FL touches the ground", build_world, robot, Ground(0.8))
     card = robot_card(str(robot.file), None).text
     assert "does not walk in simulation: no shape of foot FL" in card
 
 
 def test_a_joint_without_a_torque_limit_is_named_and_not_walked(tmp_path):
-    robot = odd(tmp_path, odd_robot(CORNERS, motors=False))
-    refused("no torque limit for joint h3; give its actuator a", build_world, robot, Ground(0.8))
+    robot = odd(tmp_path, without_motors(quadruped_mjcf()))
+    refused("no torque limit for joint fl_j1; give its actuator a", build_world, robot, Ground(0.8))
 
 
 def test_a_urdf_need_not_declare_the_world(tmp_path):
@@ -480,8 +467,8 @@ def test_a_log_with_feet_is_of_no_machine_on_a_fixed_base(tmp_path):
     frame = pd.DataFrame({"t": t, "q_shoulder": 0.0 * t})
     meta = Meta(100.0, robot=str(file))
     assert isinstance(machine_for_log(Log(frame, meta, "held")), FixedBase)
-    with pytest.raises(SurefootError, match="walk: is of a machine with legs; robot arm: none"):
-        machine_for_log(Log(frame.assign(contact_left=1.0), meta, "walk"))
+    stands = Log(frame.assign(contact_left=1.0), meta, "walk")
+    refused("walk: is of a machine with legs; robot arm: none", machine_for_log, stands)
     refused("no body or site 'toe'", load_machine, file, feet={"left": "toe"})
 
 

@@ -38,12 +38,12 @@ def write(folder, texts):
 
 
 def forget():
-    for kept in (sources_digest, sources._folders, sources._source):
+    for kept in (sources_digest, sources._contents, sources._folders, sources._source):
         kept.cache_clear()
 
 
 def digest(name="house.start"):
-    sources_digest.cache_clear()
+    forget()
     return sources_digest(name)
 
 
@@ -184,7 +184,7 @@ def test_the_code_of_several_classes_is_that_of_their_modules(house, monkeypatch
     before = code_digest(*kinds)
     assert code_digest(*reversed(kinds)) == before != code_digest(kinds[0])
     (house / "beside.py").write_text("y = 3\n")
-    sources_digest.cache_clear()
+    forget()
     assert code_digest(*kinds) != before
 
 

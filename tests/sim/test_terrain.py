@@ -135,10 +135,12 @@ def test_a_rough_strip_lies_on_its_lattice():
     refused("multiples", Strip, start=(0.05, 0), end=(1, 0), width=1, rough=0.1)
 
 
-def test_rough_ground_cannot_be_covered_in_part():
-    rough = ROUGH.roughened(np.random.default_rng(0))
-    over = Strip((-6.0, 1.0), (-5.0, 1.0), 1.0)
-    refused("overlap", add_ground, mujoco.MjSpec(), Ground(0.8, (), 12.0, (rough, over)))
+def test_what_is_given_by_heights_cannot_be_covered_in_part():
+    rough, over = ROUGH.roughened(np.random.default_rng(0)), Strip((-6.0, 1.0), (-5.0, 1.0), 1.0)
+    field = HeightField((0.0, 1.0, 0.0, 1.0), np.zeros((3, 3)))
+    fields = Ground(0.8, fields=(field, replace(field, mu=0.3)))
+    for covered in (Ground(0.8, strips=(rough, over)), fields):
+        refused("overlap", add_ground, mujoco.MjSpec(), covered)
 
 
 X, Y = np.linspace(-1.0, 4.0, 26), np.linspace(-1.5, 1.5, 13)
@@ -304,11 +306,6 @@ def test_a_course_of_another_robot_keeps_its_hills_slopes(tmp_path):
     (field,) = course_for(grid(tmp_path), small).ground.fields
     np.testing.assert_allclose(field.heights, 0.5 * HILLS.T)
     assert field.rectangle == (-0.5, 2.0, -0.8, 0.8)
-
-
-def test_height_fields_do_not_lie_on_each_other():
-    one = HeightField((0.0, 1.0, 0.0, 1.0), np.zeros((3, 3)))
-    refused("overlap", add_ground, mujoco.MjSpec(), Ground(0.8, fields=(one, replace(one, mu=0.3))))
 
 
 SIZE = "size = [1.0, 1.0]"

@@ -13,22 +13,20 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 from turning import mean_rotation
 
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.gravity import GRAVITY_G
 from surefoot.sim.effects import effect
 from surefoot.sim.gait.controller import gait_for
 from surefoot.sim.gait.course import course_pieces, stretches
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
-from surefoot.sim.log import LogError, LogWriter
+from surefoot.sim.log import LogWriter
 from surefoot.sim.log import file as log_file
 from surefoot.sim.physics.scene import TIMESTEP, build_world
 from surefoot.sim.physics.stepper import Fallen
 from surefoot.sim.robot import Robot
 from surefoot.sim.scenario import Ranges, Scenario, Segment
-from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion, rate_of
+from surefoot.sim.sensors.streams import Sensors, ideal_streams, imu_motion
 from surefoot.sim.walk import STEPS_PER_TICK, meta_of, plan, record, simulate_motion, walk
-from surefoot.sim.walking import long_walk
 from surefoot.sim.walking.long_walk import needs_whole, walk_in_pieces
 
 SPOT = Robot.load("spot_class")
@@ -133,8 +131,8 @@ def test_the_robot_starts_standing_still_and_follows_its_course(log):
 
 
 def test_a_course_that_leaves_the_floor_is_refused():
-    with pytest.raises(SurefootError, match="half_size"):
-        walk(Scenario("far", (Segment(9.0, 1.0),), Ground(0.8, half_size=5.0)), SPOT, 0)
+    far = Scenario("far", (Segment(9.0, 1.0),), Ground(0.8, half_size=5.0))
+    refused("half_size", walk, far, SPOT, 0)
 
 
 def test_payload_presses_harder_on_the_ground():
@@ -202,8 +200,7 @@ def test_its_file_is_that_of_the_whole(made, whole, tmp_path, monkeypatch):
 def test_a_writer_refuses_a_piece_that_does_not_follow(whole, made, tmp_path):
     with LogWriter(tmp_path / "log.parquet", meta_of(made)) as writer:
         writer.write(whole.frame[:100])
-        with pytest.raises(LogError, match="column t, row 100: time jumps back"):
-            writer.write(whole.frame[50:60])
+        refused("column t, row 100: time jumps back", writer.write, whole.frame[50:60])
 
 
 def test_a_course_in_pieces_is_the_course():
@@ -212,12 +209,6 @@ def test_a_course_in_pieces_is_the_course():
     for name in ("t", "pose", "velocity"):
         joined = np.concatenate([getattr(part, name) for part in parts])
         np.testing.assert_array_equal(joined, getattr(course, name))
-
-
-@pytest.mark.parametrize("rows", [5, 6, 1000, 99_999])
-def test_the_rate_is_that_of_all_stamps(rows):
-    t = (np.arange(rows) + 1501) * 0.002 - 3.0
-    assert long_walk._rate(1500, rows) == rate_of(t)
 
 
 def test_a_fall_comes_behind_the_rows_before_it():

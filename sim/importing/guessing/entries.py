@@ -239,7 +239,7 @@ def _fitting_order(
     machine = file.machine
     if machine is not None and len(machine.limbs.joints) == len(angles):
         joints = machine.limbs.joints
-        kinds = {joint: machine.limbs.kind(k) for k, joint in enumerate(joints)}
+        kinds = dict(zip(joints, machine.limbs.kind_of, strict=True))
         by_kind = sorted(joints, key=lambda joint: [*kinds.values()].index(kinds[joint]))
         known = {k: x for k, x in enumerate(angles) if x is not None}
         scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
