@@ -7,7 +7,6 @@ from surefoot.sim.common.series import GaussMarkov
 from surefoot.sim.gait.options import GaitOptions
 from surefoot.sim.gait.state import Gait
 from surefoot.sim.robot.kinematics import BaseMotion
-from surefoot.sim.sensors.streams import rate_of
 
 FARTHEST_DRAW = 2.5
 """Standard deviations at which drawn periods and footholds are truncated, as legs have limited
@@ -42,8 +41,7 @@ def irregular(
     for name in ("velocity", "attitude"):
         size = getattr(options, f"{name}_noise")
         if size:
-            rate = rate_of(np.arange(ticks) * dt)
-            process = GaussMarkov(rng, ticks, size, options.noise_time, rate)
+            process = GaussMarkov(rng, ticks, size, options.noise_time, 1.0 / dt)
             drawn[f"{name}_error"] = process.next(ticks)
     return gait._replace(**drawn)
 
