@@ -41,7 +41,8 @@ def irregular(
     for name in ("velocity", "attitude"):
         size = getattr(options, f"{name}_noise")
         if size:
-            process = GaussMarkov(rng, ticks, size, options.noise_time, 1.0 / dt)
+            rate = 1.0 / float(np.median(np.diff(np.arange(ticks) * dt)))
+            process = GaussMarkov(rng, ticks, size, options.noise_time, rate)
             drawn[f"{name}_error"] = process.next(ticks)
     return gait._replace(**drawn)
 

@@ -11,7 +11,7 @@ import pandas as pd
 
 from surefoot.sim.common.errors import SurefootError, errors_in
 from surefoot.sim.common.limits import check_limit
-from surefoot.sim.importing.clock import Columns, column_kind, rate_of, resampled, without_holds
+from surefoot.sim.importing.clock import Columns, column_kind, resampled, usual_rate, without_holds
 from surefoot.sim.importing.contacts import feet_that_stand
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.reference import (
@@ -99,7 +99,7 @@ class RawRecording:
             main = with_reference(main, poses.rows(~wrong), str(rules.path))
             offset = reference_offset(rules, self.name)
             model = model | ({REFERENCE_OFFSET: offset} if offset else {})
-            step = round(1.0 / rate_of(poses.t), 6)
+            step = round(1.0 / usual_rate(poses.t), 6)
             model = model | {REFERENCE_SAMPLES: [round(float(poses.t[0]), 6), step]}
         joints = joint_names(main)
         law = _motor_law(rules, joints)
@@ -108,7 +108,7 @@ class RawRecording:
             derived.append("tau (motor law)")
         frame = pd.DataFrame(main)
         meta = Meta(
-            rate=sections.source.rate or rate_of(main["t"]),
+            rate=sections.source.rate or usual_rate(main["t"]),
             robot=rules.robot,
             motor_law=law,
             derived=tuple(derived),
@@ -159,7 +159,7 @@ def _made_even(main: Columns, even: EvenTable) -> tuple[Columns, list[str]]:
     said = [f"{kind} (between held readings)" for kind in even.held]
     said += _earlier_words(even.late)
     t = main["t"]
-    rate = even.rate or rate_of(t)
+    rate = even.rate or usual_rate(t)
     size = 8.0 * len(main) * rate * (t[-1] - t[0])
     check_limit("memory", size, f"[even] at {rate:g} Hz: bytes in memory")
     times = np.arange(t[0], t[-1] + 1e-9, 1.0 / rate)

@@ -69,7 +69,7 @@ def on_clock(
             table[name] = values[inside]
         elif is_event(name):
             table[name] = values[np.searchsorted(stamps, t[inside] + _ROUNDED, "right") - 1]
-        elif name.startswith(("gyro_", "accel_")) and rate_of(stamps) > averaged * rate_of(t):
+        elif name.startswith(("gyro_", "accel_")) and usual_rate(stamps) > averaged * usual_rate(t):
             table[name] = means(t[inside], stamps, values)
         else:
             table[name] = np.interp(t[inside], stamps, values)
@@ -329,6 +329,6 @@ def seconds(t: float | np.ndarray) -> str:
     return f"{t:.6f}".rstrip("0").rstrip(".")
 
 
-def rate_of(t: np.ndarray) -> float:
+def usual_rate(t: np.ndarray) -> float:
     """Usual rate [Hz] of times t (N,) [s], to six digits; 1 of a single one."""
     return float(f"{1.0 / np.median(np.diff(t)):.6g}") if len(t) > 1 else 1.0
