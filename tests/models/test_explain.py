@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reference_columns import reference_columns
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
@@ -14,6 +15,7 @@ from surefoot.models.attribution.data import split_of
 from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import (
+    Chosen,
     deviation_of_mean,
     explain,
     problem_of,
@@ -281,27 +283,36 @@ def test_bins_that_were_not_there_before_do_no_harm(case, floor_harm):
     assert not levels["leg_velocity"].worse
 
 
-def test_what_one_channel_shows_and_another_denies_is_not_found(floor):
+def test_effects_on_which_channels_disagree_are_not_found(floor, monkeypatch):
+    case = case_with(effect("gyro_scale", "z", 0.03))
+    assert ("gyro_scale", "z") in names(explained(case, floor))
+    monkeypatch.setattr(Chosen, "between_channels", property(lambda self: np.abs(self.sizes)))
+    assert not explained(case, floor).found
+
+
+def test_each_channel_tells_a_size_by_itself(floor):
     """A body whose gyro and reference turn by 3 % more than its feet: the legs alone show a scale
     of the gyro.
     """
     more = 0.03
     log = walk(SCENARIO, SPOT, 3, [effect("gyro_scale", "z", more)], declared=False)
-    assert ("gyro_scale", "z") in names(explained(log_under_model(log, SPOT), floor))
     yaw = np.unwrap(Rotation.from_quat(log.ref_q, scalar_first=True).as_euler("ZYX")[:, 0])
     turn = Rotation.from_rotvec(np.outer(more * (yaw - yaw[0]), [0.0, 0.0, 1.0]))
-    q = (turn * Rotation.from_quat(log.ref_q, scalar_first=True)).as_quat(scalar_first=True)
     v = turn.apply(log.ref_v)
-    p = log.ref_p[0] + cumulative_trapezoid(v, log.t, axis=0, initial=0.0)
-    columns = {
-        f"ref_{name}_{axis}": x
-        for name, axes, values in (("q", "wxyz", q), ("v", "xyz", v), ("p", "xyz", p))
-        for axis, x in zip(axes, values.T, strict=True)
-    }
-    turned = log.with_columns(columns)
-    found = explained(log_under_model(turned, SPOT), floor)
-    assert ("gyro_scale", "z") not in names(found)
-    assert any("channels" in why for _, why in found.rejected)
+    columns = reference_columns(
+        (turn * Rotation.from_matrix(log.ref_R_GI)).as_matrix(),
+        log.ref_p[0] + cumulative_trapezoid(v, log.t, axis=0, initial=0.0),
+        v,
+    )
+    case = log_under_model(log.with_columns(columns), SPOT)
+    problem = problem_of([case], split_of([case]).fit, several=False)
+    metric = zeros_beside(problem, floor.error, ())[1]
+    place = 1 + metric.known.keys.index(("gyro_scale", "z"))
+    told = {name: (one.S[0, place], one.S[place, place]) for name, one in metric.alone.items()}
+    size = {name: pull / weight for name, (pull, weight) in told.items() if weight > 1e4}
+    assert size["imu_gyro"] == pytest.approx(0.0, abs=1e-3)
+    assert size["leg_velocity"] == pytest.approx(more, rel=0.2)
+    assert size["stance_velocity"] == pytest.approx(more, rel=0.2)
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6), st.floats(0.01, 100.0))

@@ -36,7 +36,7 @@ WALK = Scenario("short", (Segment(1.0, 0.4),), Ground(0.8), "spot_class", stand=
 
 def forget():
     """As another process would find things."""
-    for one in (sources_digest, sources._folders, known_robot, read_tuned):
+    for one in (sources_digest, sources._contents, sources._folders, known_robot, read_tuned):
         one.cache_clear()
 
 

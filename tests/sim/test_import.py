@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from written import written
 
 from studies.measured import measured_folder
-from surefoot.sim.importing.clock import rate_of
+from surefoot.sim.importing.clock import usual_rate
 from surefoot.sim.importing.columns import UNITS, ColumnEntry, Entries, read_columns
 from surefoot.sim.importing.map import ImportMap
 from surefoot.sim.importing.map_catalog import bundled_maps, map_file
@@ -235,7 +235,7 @@ def test_a_bundled_map_is_known_by_its_name(name):
 
 @pytest.mark.parametrize("t", [[0.0, 0.01], [0.0, 0.01, 0.02, 0.09]])
 def test_the_rate_of_two_rows_and_more_is_that_of_their_steps(t):
-    assert rate_of(np.array(t)) == 100.0
+    assert usual_rate(np.array(t)) == 100.0
 
 
 @pytest.mark.parametrize(
