@@ -286,8 +286,8 @@ class Chosen:
     @cached_property
     def between_channels(self) -> np.ndarray:
         """Standard deviations of the sizes (k,) by how the channels that would show them differ,
-        each by itself. Times of contacts count for what delays them alone: whatever moves a foot
-        also moves these.
+        each by itself. A channel that shows more denies nothing: it lacks something else as well.
+        Times of contacts count for what delays them alone: whatever moves a foot also moves these.
         """
         parts, between = self.metric.alone, []
         S = np.array([one.products(self.table, self.X, self.keys) for one in parts.values()])
@@ -296,8 +296,8 @@ class Chosen:
             weights = np.maximum(S[:, place, place], 0.0)
             tells = of_events == bool(event_channels(key))
             tells &= np.sqrt(weights) * abs(size) > AGREES
-            moved = S[tells, place, 0] / weights[tells]
-            between.append(deviation_of_mean(moved, weights[tells]))
+            less = np.minimum(np.sign(size) * S[tells, place, 0] / weights[tells], 0.0)
+            between.append(deviation_of_mean(less, weights[tells]))
         return np.array(between)
 
     @property
