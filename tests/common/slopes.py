@@ -13,8 +13,8 @@ def step_of(key):
 
 def slope_of(case, key, step):
     """What a unit of the effect adds to the table (M, W), by the residual itself."""
-    table = table_of(case, ())
-    return np.nan_to_num((table - table_of(case, [effect(*key, step)])) / step)
+    (name, target), table = key, table_of(case, ())
+    return np.nan_to_num((table - table_of(case, [effect(name, target, step)])) / step)
 
 
 def written_out(one, like):

@@ -75,8 +75,8 @@ def test_nees_is_within_its_chi_square_bounds(walk, rows):
     reference = walk.reference().rows(slice(None, None, 5))
     found = []
     for _ in range(runs):
-        data, start = trial(walk, rows, rng, noise, std)
-        result = nees(reference, run_velocity(*data, np.eye(3) * std**2, *start, noise))
+        data, (state, P) = trial(walk, rows, rng, noise, std)
+        result = nees(reference, run_velocity(*data, np.eye(3) * std**2, state, P, noise))
         found.append([series[-1] for series in (result.position, result.velocity, result.attitude)])
     # The mean of `runs` chi-square(3) variables has deviation sqrt(6 / runs).
     assert np.all(np.abs(np.mean(found, axis=0) - 3.0) < 3 * np.sqrt(6 / runs))

@@ -54,12 +54,12 @@ def legs(walk):
 def leg_run(walk, legs, bias=0.0, contact=None, gate=None, seed=3, cuts=()):
     """Estimate and health of the leg filter, its model true but for what is given."""
     rng = np.random.default_rng(seed)
-    n, start = len(walk.t), walk.drawn_start(rng, b_g=1e-3)
+    n, (state, P) = len(walk.t), walk.drawn_start(rng, b_g=1e-3)
     gyro, accel = walk.sensed(rng, NOISE)
     gyro += bias
     measured = legs.sensed(walk, rng, 1e-2, STD)
     contact = legs.contact if contact is None else contact
-    one = LegFilter(*start, LEG_NOISE, slip_gate=gate)
+    one = LegFilter(state, P, LEG_NOISE, slip_gate=gate)
     cov = np.broadcast_to(np.eye(3) * STD**2, (n, 4, 3, 3))
     log, parts, found = walk.log(gyro, accel), [], []
     for piece in np.split(np.arange(n), cuts):

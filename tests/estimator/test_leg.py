@@ -169,10 +169,10 @@ def test_nees_is_within_its_chi_square_bounds(walk, rolling):
     walk, short = walk.part(2500), slice(2500)
     cov = covariances(rolling, std)[short]
     for _ in range(runs):
-        start, (gyro, accel) = walk.drawn_start(rng), walk.sensed(rng, noise.imu)
+        (state, P), (gyro, accel) = walk.drawn_start(rng), walk.sensed(rng, noise.imu)
         measured = rolling.sensed(walk, rng, noise.contact, std)
         estimate = run_leg(
-            walk.t, gyro, accel, measured, rolling.contact[short], cov, *start, noise, RADIUS,
+            walk.t, gyro, accel, measured, rolling.contact[short], cov, state, P, noise, RADIUS,
             rolling.rates_I[short],
         )  # fmt: skip
         found = nees(walk.reference().rows(slice(None, None, 5)), estimate)
