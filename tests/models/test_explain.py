@@ -180,11 +180,6 @@ def found(one):
 
 
 @pytest.mark.long
-@pytest.mark.xfail(
-    strict=True,
-    reason="the search explains so large a curve by other joints and links, so that it is told by "
-    "the residual that is left",
-)
 def test_a_curve_is_told_from_the_line_that_comes_nearest():
     result, bent = found(OUTSIDE_EFFECTS["encoder_eccentricity"]("FL_thigh", 0.03))
     assert result.found, "something of the catalogue comes near"

@@ -205,7 +205,7 @@ def test_whatever_comes(name, steps):
     """About as many steps; the same ones every time, but for a million."""
     kind = type("InLoop", (InLoop,), {"name": name})
     every = settings(
-        max_examples=max(steps // 240, 2),
+        max_examples=max(steps // 175, 2),
         stateful_step_count=20,
         derandomize=steps < 1_000_000,
         phases=[Phase.generate],
