@@ -88,7 +88,9 @@ def gravity(view: LogView) -> Iterator[Finding]:
     size = float(np.linalg.norm(mean))
     seen = f"mean ({number_words(mean)}) m/s^2, {size:.3g} in size where gravity is {GRAVITY}"
     cause, changes = in_another_unit("accel", ACCEL, size / GRAVITY, "")
-    if size < 0.2 * GRAVITY and spread > 0.0 and not cause:
+    if 0.8 < size / GRAVITY**2 < 1.2:
+        cause, changes = "multiplied by gravity twice", {}
+    elif size < 0.2 * GRAVITY and spread > 0.0 and not cause:
         cause = "gravity was taken off: an acceleration, not the specific force that filters need"
     elif np.linalg.norm(accel, axis=1).std() < SAME_SIZE * size < 0.1 * spread and not cause:
         cause = "a direction: its size is the same in every row"

@@ -394,14 +394,32 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
 def _missing_feet(
     file: RecordedFile, found: Mapping[str, Named], entries: Mapping[str, Entry]
 ) -> list[str]:
-    """Questions where only some of a robot's feet, or a quadruped's, have a column of a kind."""
-    known = {*(file.machine.limbs.legs if file.machine is not None else LEGS)}
+    """Questions where only some of the feet have a column of a kind: there is no other for a leg of
+    the robot, or there are columns with one more word, which may be a leg's.
+    """
+    known = file.machine.limbs.legs if file.machine is not None else ()
     asked = []
     for kind in ("contact", "force", "foot"):
-        there = {found[e.theirs].leg for e in entries.values() if found[e.theirs].kind == kind}
-        if there and there < known:
-            asked.append(f"{kind} of {', '.join(sorted(there))} alone: which are the others?")
+        used = {e.theirs for e in entries.values() if found[e.theirs].kind == kind}
+        there = {found[name].leg for name in used}
+        stems = {(found[name].source, *found[name].stem.split()) for name in used}
+        alike = [
+            name
+            for name, one in found.items()
+            if one.kind == kind and not one.leg and _with_a_word_less(one) & stems
+        ]
+        if used and (alike or there < {*known}):
+            others = f", as {', '.join(alike)}" if alike else ""
+            asked.append(
+                f"{kind} of {', '.join(sorted(there))} alone: which are the others{others}?"
+            )
     return asked
+
+
+def _with_a_word_less(one: Named) -> set[tuple[str, ...]]:
+    """Source and stem of a name, without one of its words."""
+    words = one.stem.split()
+    return {(one.source, *words[:k], *words[k + 1 :]) for k in range(len(words))}
 
 
 def _counted_legs(found: Mapping[str, Named], legs: Sequence[str]) -> dict[str, str]:

@@ -274,9 +274,9 @@ def lists_of(names: Mapping[str, Named], *shared: str) -> dict[tuple, dict[str, 
 
 
 def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
-    """Interpret the elements of each list of one recording together: vectors of the feet, the pose
-    (and velocities) of a body in one list, and a position of three elements beside a quaternion,
-    which are a pose.
+    """Interpret the elements of each list of one recording together: vectors of the feet, joints
+    where a vector has too many elements, the pose (and velocities) of a body in one list, and a
+    position of three elements beside a quaternion, which are a pose.
     """
     found = dict(names)
     plain = {n: one for n, one in names.items() if not (one.axis or one.leg or one.joint)}
@@ -291,6 +291,10 @@ def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
             at = places.index(one.place or 0)
             if kind in ("force", "foot") and len(limbs) > 1 and len(places) == 3:
                 found[name] = replace(one, axis="xyz"[at])
+            elif kind in ("gyro", "ref_p", "ref_v") and len(members) > 3:
+                kind_of_joint = "q" if kind == "ref_p" else "dq"
+                command = "command" if source == "reference" else source
+                found[name] = replace(one, kind=kind_of_joint, source=command)
             elif not kind and ("of", "body") in votes and len(members) in (7, 13):
                 what = "ref_p" if at < 3 else "ref_q" if at < 7 else "ref_v"
                 found[name] = replace(one, kind=what)
