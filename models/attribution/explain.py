@@ -58,8 +58,8 @@ least excess on one side: how runs differ is known from these runs alone.
 LEAST_EXCESS = 6.0
 """Least excess [standard deviations] where nothing but the noise of readings is known."""
 AGREES = 2.0
-"""Standard deviations between blocks of the logs, and between channels, that a size exceeds: a bad
-block is no effect, and what one channel shows and another denies is another one.
+"""Standard deviations between blocks of the logs, and between channels, that a size exceeds:
+neither a bad block nor a channel that another contradicts makes an effect.
 """
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""

@@ -318,7 +318,7 @@ def model_error(runs: Sequence[RunSums], limbs: Limbs) -> ModelError | None:
     terms = [key for key, one in named if _is_term(key, first, limbs) and one > NOTHING]
     at = [first.keys.index(key) for key in terms]
     D = 1.0 / strength[at]
-    # Of each term, the channel in which it shows most; its terms have one b.
+    # Terms that show most in the same channel share one entry of B.
     channels = [[of == name for of, _ in groups] for name in dict.fromkeys(of for of, _ in groups)]
     most_shown = np.argmax(np.array(channels, float) @ shown[:, at], axis=0)
     kind, alike = np.unique(most_shown, return_inverse=True, return_counts=True)[1:]

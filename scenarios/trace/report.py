@@ -81,8 +81,8 @@ def sections(found: Trace) -> list[Section]:
     where = "held-out logs" if found.held_out else "the parts of the logs used by no fit"
     steps = "Names in capitals are of logs that you record."
     named = (
-        "An effect is named from the size that noise and errors of the model hardly reach, if "
-        "blocks of the logs and channels agree on it: by more than 2 standard deviations; see the "
+        "An effect is named from the size that noise and errors of the model hardly reach, if it "
+        "exceeds 2 standard deviations between blocks of the logs and between channels; see the "
         "guide for all criteria."
     )
     levels = (
