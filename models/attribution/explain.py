@@ -411,12 +411,18 @@ def explain(
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     rejected: tuple[tuple[Effect, str], ...] = ()
+    dropped: list[tuple[Effect, str]] = []
+    harmed = False
     tried = {frozenset(chosen.keys)}
+    once: dict[Key, Effect] = {}
 
     def settled_anew(better: Chosen | None) -> tuple[_State, Chosen] | None:
         """The search at better effects, if there are any and it was not there before."""
-        settled = _settled(state, better.effects) if better else None
-        if settled is None or (keys := frozenset(settled[1].keys)) in tried:
+        if better is None:
+            return None
+        once.update(zip(better.keys, better.effects, strict=True))
+        settled = _settled(state, better.effects)
+        if (keys := frozenset(settled[1].keys)) in tried:
             return None
         tried.add(keys)
         return settled
@@ -440,14 +446,16 @@ def explain(
     if len(fewer.effects) < len(chosen.effects) and not needed(
         state.metric, state.problem, chosen.effects, fewer.effects
     ):
+        why = "what the other effects leave once they are compensated may imitate it"
+        dropped += _without(chosen.effects, fewer, why)
         state, chosen = at_fewer, fewer
-    dropped: list[tuple[Effect, str]] = []
     while True:
         if harm := harmful(state.metric, state.problem, chosen.effects):
             dropped.append(harm)
+            harmed = True
             better = [e for e in chosen.effects if e != harm[0]]
         else:
-            one, rivals = _replaced(state, chosen) if dropped else (None, rivals)
+            one, rivals = _replaced(state, chosen) if harmed else (None, rivals)
             if one is None or frozenset(one.keys) in tried:
                 break
             tried.add(frozenset(one.keys))
@@ -458,17 +466,25 @@ def explain(
         before = chosen.effects
         state, chosen = _settled(state, before, moved=ZERO_SETTLED)
         why = "the logs' own zeros explain it, once they are fitted closely"
-        dropped += [(e, why) for e in before if (e.name, e.target) not in chosen.keys]
+        dropped += _without(before, chosen, why)
+    known = {(e.name, e.target) for e, _ in (*dropped, *rejected)}
+    others = [one for key, one in once.items() if key not in known]
+    dropped += _without(others, chosen, "the other effects explain the logs as well without it")
     return Explanation(
         found=_with_intervals(state, chosen, left(chosen.effects, chosen.keys)),
         imitated=imitated & frozenset(chosen.keys),
         rounds=tuple(rounds),
         rivals=tuple(rival for rival in rivals if rival[0] not in chosen.keys),
-        dropped=tuple(dropped),
+        dropped=tuple(one for one in dropped if (one[0].name, one[0].target) not in chosen.keys),
         rejected=rejected,
         runs=_fitted_runs(state),
         metric=state.metric,
     )
+
+
+def _without(effects: Sequence[Effect], chosen: Chosen, why: str) -> list[tuple[Effect, str]]:
+    """Those of the effects that are not chosen, each with the reason why."""
+    return [(one, why) for one in effects if (one.name, one.target) not in chosen.keys]
 
 
 def zeros_beside(

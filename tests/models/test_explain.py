@@ -126,6 +126,8 @@ def test_what_leftovers_of_compensation_may_imitate_is_not_found(floor):
     """What a spring of a joint leaves once it is compensated looks like masses of links."""
     found = explained(case_with(effect("leg_compliance", "hip", 1.5e-3)), floor)
     assert names(found) == [("leg_compliance", "hip")]
+    of_links = [why for one, why in found.dropped if one.name.startswith("link_")]
+    assert of_links, [one for one, _ in (*found.dropped, *found.rejected)]
 
 
 @pytest.mark.long
