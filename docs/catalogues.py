@@ -1,5 +1,8 @@
-"""Pages that list the filters and the effects, made from their classes."""
+"""Pages that list the filters, and the effects with the channels they show in, made from their
+classes.
+"""
 
+from surefoot.models.residuals.channels import CHANNELS
 from surefoot.scenarios.estimate.estimators import ESTIMATORS, estimator_named
 from surefoot.scenarios.reporting.tables import to_markdown
 from surefoot.sim.effects import CATALOGUE
@@ -53,11 +56,10 @@ def effects_page() -> str:
         low, high = effect.bounds
         targets = effect.targets if isinstance(effect.targets, tuple) else (_PARTS[effect.targets],)
         shared = " or a group" if effect.group_targets(QUADRUPED) else ""
-        words = " ".join(str(effect.__doc__).split("\n\n")[0].split())
         rows.append(
             {
                 "effect": f"`{name}`",
-                "what it is": words,
+                "what it is": _summary(effect),
                 "unit": effect.unit,
                 "from": f"{low:g}",
                 "to": f"{high:g}",
@@ -71,8 +73,28 @@ def effects_page() -> str:
         "[`trace`](../guides/trace.md) looks for them. Sizes are within the bounds below. "
         "Yours are added as [own effect](../guides/own_effect.md) describes.",
         to_markdown(rows, markup=True),
+        "## Channels",
+        "The residuals in which `trace` sees them, and the columns of the log that each needs. "
+        "Yours are added as [own channel](../guides/own_channel.md) describes.",
+        to_markdown(
+            [
+                {
+                    "channel": f"`{name}`",
+                    "what it is": _summary(channel),
+                    "unit": channel.unit,
+                    "needs": ", ".join(channel.needs),
+                }
+                for name, channel in CHANNELS.items()
+            ],
+            markup=True,
+        ),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _summary(kind: type) -> str:
+    """First paragraph of a class's documentation, in one line."""
+    return " ".join(str(kind.__doc__).split("\n\n")[0].split())
 
 
 _PARTS: dict[Part, str] = {
