@@ -129,34 +129,24 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     for mass in robot.findall("link/inertial/mass"):
         if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
             raise ValueError(f"a mass is below zero, {mass.get('value')}")
-    mended: dict[str, list[str]] = {"": [], "flat": [], "indefinite": []}
-    uneven, bare = list[str](), list[str]()
+    mended, bare = list[str](), list[str]()
     for link in robot.findall("link"):
         name, inertia = link.get("name", ""), link.find("inertial/inertia")
-        if inertia is not None:
-            mended[_mend(inertia)].append(name)
-            low, middle, high = np.linalg.eigvalsh(_matrix(inertia))
-            if low + middle < high:
-                uneven.append(name)
+        if inertia is not None and _mend(inertia):
+            mended.append(name)
         shapes = link.findall("collision/geometry/*")
         if link.find("inertial") is None and any(shape.tag != "mesh" for shape in shapes):
             bare.append(name)
     if robot.find("link/inertial") is None:
         bare = []
     said = {
-        "a moment of inertia is zero about an axis; a thousandth of the largest is taken for "
-        "it of ": mended["flat"],
-        "a moment of inertia is below zero about an axis; the products of inertia are taken for "
-        "zero of ": mended["indefinite"],
+        "a moment of inertia is zero, below zero or above the sum of the others, which no body "
+        "has; the nearest that one can have is taken for ": mended,
         "without <inertial>, these links have no mass: ": bare,
         "meshes of a URDF are not read: feet are points at ": _add_point_feet(robot),
-        "one moment of inertia exceeds the sum of the others, which no body has; their mean is "
-        "taken for all three of ": uneven,
     }
     changes = [what + ", ".join(links) for what, links in said.items() if links]
     spec = mujoco.MjSpec.from_string(_floating(robot))
-    if uneven:
-        spec.compiler.balanceinertia = True
     try:
         model = spec.copy().compile()
     except ValueError as error:
@@ -192,32 +182,27 @@ def _mark_imu(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             return
 
 
-def _mend(inertia: ElementTree.Element) -> str:
-    """Change an inertia that is not positive definite to one that is: "flat" if a moment was zero,
-    "indefinite" if one was negative, else "".
+def _mend(inertia: ElementTree.Element) -> bool:
+    """Change an inertia that no body can have to the nearest that one can, and say whether it was.
 
-    A moment about a principal axis that is zero, as of a thin rod, becomes a thousandth of the
-    largest. Where one is negative, products of inertia are taken for zero. A negligible inertia
-    becomes zero. Raises ValueError for one that is not finite, or negative about x, y or z.
+    The second moments of a body's mass along its principal axes, each half the sum of the moments
+    of inertia less the moment about that axis, are not below zero. Those that are, or that are zero
+    like all but one of a thin rod, become a thousandth of the largest. A negligible inertia becomes
+    zero. Raises ValueError for one that is not finite, or below zero about x, y or z.
     """
-    matrix, found = _matrix(inertia), ""
-    if not np.isfinite(matrix).all():
-        raise ValueError("an inertia is not finite")
-    if np.abs(matrix).max() < _NO_INERTIA:
-        matrix = np.zeros((3, 3))
-    elif min(np.diag(matrix)) < 0.0:
-        raise ValueError(f"a moment of inertia is below zero, {min(np.diag(matrix)):g}")
-    else:
-        moments, axes = np.linalg.eigh(matrix)
-        if moments[0] > 1e-9 * moments[2]:
-            return ""
-        found = "flat" if moments[0] > -1e-9 * moments[2] else "indefinite"
-        if found == "indefinite":
-            moments, axes = np.diag(matrix), np.eye(3)
-        matrix = axes @ np.diag(np.maximum(moments, 1e-3 * moments.max())) @ axes.T
+    matrix = _matrix(inertia)
+    if not np.isfinite(matrix).all() or min(np.diag(matrix)) < 0.0:
+        raise ValueError(f"an inertia is below zero or not finite: {inertia.attrib}")
+    moments, axes = np.linalg.eigh(matrix)
+    spread = 0.5 * moments.sum() - moments
+    negligible = np.abs(matrix).max() < _NO_INERTIA
+    if not negligible and moments[0] > 1e-9 * moments[2] and spread[2] >= 0.0:
+        return False
+    spread = np.zeros(3) if negligible else np.maximum(spread, 1e-3 * spread[0])
+    matrix = axes @ np.diag(spread.sum() - spread) @ axes.T
     for row, column in zip(*np.triu_indices(3), strict=True):
         inertia.set(f"i{'xyz'[row]}{'xyz'[column]}", repr(float(matrix[row, column])))
-    return found
+    return not negligible
 
 
 def _add_point_feet(robot: ElementTree.Element) -> list[str]:
