@@ -307,9 +307,8 @@ def leave_out_surroundings(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Remove the other bodies of a scene in which something moves freely: balls, tables, carts.
 
     The machine is the body of the world with the most chains of two or more hinges. If it moves
-    freely, all others go; if it is fixed to the world, those that
-    move freely do. Its posture in the keyframe "home" remains. Returns the change in words, if
-    there is one. Raises SurefootError where two bodies have equal claims.
+    freely, all others go; if it is fixed to the world, those that move freely do. Returns the
+    change in words, if there is one. Raises SurefootError where two bodies have equal claims.
     """
     bodies = list(spec.worldbody.bodies)
     free = [body for body in bodies if _is_free(body)]
@@ -323,25 +322,12 @@ def leave_out_surroundings(spec: mujoco.MjSpec) -> tuple[str, ...]:
         )
     out = [b for b in (bodies if _is_free(machine) else free) if b.name != machine.name]
     left_out = [body.name for body in out]
-    model = spec.copy().compile()
-    inside = _joint_places(model, left_out)
-    home = [model.key_qpos[i][inside] for i, key in enumerate(spec.keys) if key.name == "home"]
-    for part in (*spec.keys, *out):
-        spec.delete(part)
+    for body in out:
+        spec.delete(body)
     for looking in (*spec.cameras, *spec.lights):
         if looking.targetbody and spec.body(looking.targetbody) is None:
             spec.delete(looking)
-    for qpos in home:
-        spec.add_key(name="home", qpos=qpos)
     return (f"left out, as no part of the robot: {', '.join(left_out)}",)
-
-
-def _joint_places(model: mujoco.MjModel, out: list[str]) -> list[int]:
-    """Elements of a model's qpos, without those of the bodies of the world with these names."""
-    roots = model.body_rootid[model.jnt_bodyid]
-    starts = [*model.jnt_qposadr.tolist(), model.nq]
-    kept = (j for j in range(model.njnt) if model.body(roots[j]).name not in out)
-    return [place for j in kept for place in range(starts[j], starts[j + 1])]
 
 
 def _is_free(body: mujoco.MjsBody) -> bool:
