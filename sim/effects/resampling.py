@@ -119,17 +119,12 @@ draws, six in 2 %.
 """
 
 
-_TURNING = ("gyro_x", "gyro_y", "gyro_z", "ref_q_w", "ref_q_x", "ref_q_y", "ref_q_z")
-
-
 def reference_lag(log: Log, most: float) -> float:
     """Delay [s] of the reference's rotation relative to the gyro, up to +-`most`.
 
     Where their correlation is largest, to the row.
     """
-    return log.once(
-        f"reference lag within {most}", _TURNING, lambda: _turning_lag(_turning(log), most)
-    )
+    return _turning_lag(_turning(log), most)
 
 
 class _Turning(NamedTuple):
@@ -150,12 +145,9 @@ class _Turning(NamedTuple):
 
 
 def _turning(log: Log) -> _Turning:
-    def made() -> _Turning:
-        turning, steps = Rotation.from_quat(log.ref_q, scalar_first=True), np.diff(log.t)
-        turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / steps[:, None]
-        return _Turning(steps, turned, 0.5 * (log.gyro[1:] + log.gyro[:-1]))
-
-    return log.once("turning by reference and gyro", _TURNING, made)
+    turning, steps = Rotation.from_quat(log.ref_q, scalar_first=True), np.diff(log.t)
+    turned = (turning[:-1].inv() * turning[1:]).as_rotvec() / steps[:, None]
+    return _Turning(steps, turned, 0.5 * (log.gyro[1:] + log.gyro[:-1]))
 
 
 def _turning_lag(turning: _Turning, most: float) -> float:
@@ -174,10 +166,6 @@ def reference_lag_drift(log: Log, most: float) -> float:
     Median slope of the lags of pieces of the log (Theil-Sen). 0 if its 95 % interval contains 0, as
     it does if the pieces rotate too little to show a lag.
     """
-    return log.once(f"reference drift within {most}", _TURNING, lambda: _lag_drift(log, most))
-
-
-def _lag_drift(log: Log, most: float) -> float:
     from scipy.stats import theilslopes  # which takes half a second to import
 
     duration = log.t[-1] - log.t[0]
