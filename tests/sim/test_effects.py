@@ -22,8 +22,12 @@ from surefoot.sim.effects.contact import ContactDelay, FootSlip
 from surefoot.sim.effects.drive import Backlash, CoulombFriction, ViscousFriction
 from surefoot.sim.effects.file import load_effects, save_effects
 from surefoot.sim.effects.readings import TorqueScale
-from surefoot.sim.effects.resampling import reference_lag, reference_lag_drift
-from surefoot.sim.effects.timing import JointDelay, TorqueDelay
+from surefoot.sim.effects.timing import (
+    JointDelay,
+    TorqueDelay,
+    reference_lag,
+    reference_lag_drift,
+)
 from surefoot.sim.ground.terrain import Ground, Patch, Strip
 from surefoot.sim.log import JOINTS, LEGS, Log, MemoisedLog, Meta
 from surefoot.sim.log.schema import named_columns
