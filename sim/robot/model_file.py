@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file, urdf_joints
+from surefoot.sim.robot.legs import posed
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
 # anyway.
@@ -29,6 +29,7 @@ _POINT_FOOT = 1e-3
 """Radius of a foot whose shape is a mesh of a URDF [m]."""
 _IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?")
 """Names, in lower case, of a URDF's link that carries the IMU."""
+_FREE, _HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
 
 
 def read_model(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
@@ -114,39 +115,32 @@ def _unreadable(file: Path, error: Exception) -> SurefootError:
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 
 
-def _is_a_frame(inertial: ElementTree.Element) -> bool:
-    """Whether a link's mass and inertia are negligible, so that it is only a frame."""
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or inertia is None:
-        return False
-    moments = [abs(float(inertia.get(axis, "inf"))) for axis in ("ixx", "iyy", "izz")]
-    return float(mass.get("value", "inf")) < _NO_MASS and max(moments) < _NO_INERTIA
-
-
 def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The MjSpec of a URDF with a floating root, and the corrections of its inertias, in words."""
     robot = ElementTree.parse(file).getroot()
-    for mass in robot.findall("link/inertial/mass"):
-        if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
-            raise ValueError(f"a mass is below zero, {mass.get('value')}")
-    mended, bare = list[str](), list[str]()
-    for link in robot.findall("link"):
-        name, inertia = link.get("name", ""), link.find("inertial/inertia")
-        if inertia is not None and _mend(inertia):
-            mended.append(name)
-        shapes = link.findall("collision/geometry/*")
-        if link.find("inertial") is None and any(shape.tag != "mesh" for shape in shapes):
-            bare.append(name)
-    if robot.find("link/inertial") is None:
-        bare = []
+    shapes = {
+        link.get("name", ""): {shape.tag for shape in link.findall("collision/geometry/*")}
+        for link in robot.findall("link")
+    }
+    spec = mujoco.MjSpec.from_string(_floating(robot))
+    links = spec.bodies[1:]
+    if any(link.mass < 0.0 for link in links):  # which a lower bound of masses would hide
+        raise ValueError("a mass is below zero")
+    weighed = [link for link in links if link.explicitinertial]
+    feet = [link for link in links if shapes.get(link.name) == {"mesh"} and _is_a_foot(link)]
+    for foot in feet:
+        foot.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_POINT_FOOT, 0, 0])
     said = {
         "a moment of inertia is zero, below zero or above the sum of the others, which no body "
-        "has; the nearest that one can have is taken for ": mended,
-        "without <inertial>, these links have no mass: ": bare,
-        "meshes of a URDF are not read: feet are points at ": _add_point_feet(robot),
+        "has; the nearest that one can have is taken for ": list(filter(_mend, weighed)),
+        "without <inertial>, these links have no mass: ": [
+            link
+            for link in links
+            if weighed and not link.explicitinertial and shapes.get(link.name, set()) - {"mesh"}
+        ],
+        "meshes of a URDF are not read: feet are points at ": feet,
     }
-    changes = [what + ", ".join(links) for what, links in said.items() if links]
-    spec = mujoco.MjSpec.from_string(_floating(robot))
+    changes = [f"{what}{', '.join(link.name for link in of)}" for what, of in said.items() if of]
     try:
         model = spec.copy().compile()
     except ValueError as error:
@@ -167,74 +161,54 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def _mark_imu(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Place a site named imu on the floating base where a link fixed to it is named as an IMU."""
+    data = posed(model)
     for link in range(1, model.nbody):
-        if not _IMU_LINK.fullmatch(model.body(link).name.lower()):
-            continue
-        p, quaternion, body = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), link
-        while body and not model.body_jntnum[body]:
-            R = matrix_from_quaternion(model.body_quat[body])
-            mujoco.mju_mulQuat(quaternion, model.body_quat[body].copy(), quaternion.copy())
-            p, body = model.body_pos[body] + R @ p, int(model.body_parentid[body])
-        first = int(model.body_jntadr[body])
-        if body and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
-            base = spec.body(model.body(body).name)
-            base.add_site(name="imu", pos=p, quat=quaternion)
+        base = int(model.body_weldid[link])
+        free = base and model.jnt_type[model.body_jntadr[base]] == _FREE
+        if free and _IMU_LINK.fullmatch(model.body(link).name.lower()):
+            p, quat = np.empty(3), np.empty(4)
+            mujoco.mju_negPose(p, quat, data.xpos[base], data.xquat[base])
+            mujoco.mju_mulPose(p, quat, p.copy(), quat.copy(), data.xpos[link], data.xquat[link])
+            spec.body(model.body(base).name).add_site(name="imu", pos=p, quat=quat)
             return
 
 
-def _mend(inertia: ElementTree.Element) -> bool:
+def _mend(link: mujoco.MjsBody) -> bool:
     """Change an inertia that no body can have to the nearest that one can, and say whether it was.
 
     The second moments of a body's mass along its principal axes, each half the sum of the moments
     of inertia less the moment about that axis, are not below zero. Those that are, or that are zero
     like all but one of a thin rod, become a thousandth of the largest. A negligible inertia becomes
-    zero. Raises ValueError for one that is not finite, or below zero about x, y or z.
+    zero, and so does then a negligible mass. Raises ValueError for one that is not finite, or
+    below zero about x, y or z.
     """
-    matrix = _matrix(inertia)
-    if not np.isfinite(matrix).all() or min(np.diag(matrix)) < 0.0:
-        raise ValueError(f"an inertia is below zero or not finite: {inertia.attrib}")
+    xx, yy, zz, xy, xz, yz = link.fullinertia
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.isfinite(matrix).all() or min(xx, yy, zz) < 0.0:
+        raise ValueError(f"the inertia of {link.name} is below zero or not finite")
+    if np.abs(matrix).max() < _NO_INERTIA:
+        link.fullinertia, link.inertia = [np.nan, 0, 0, 0, 0, 0], np.zeros(3)
+        link.mass *= link.mass >= _NO_MASS
+        return False
     moments, axes = np.linalg.eigh(matrix)
     spread = 0.5 * moments.sum() - moments
-    negligible = np.abs(matrix).max() < _NO_INERTIA
-    if not negligible and moments[0] > 1e-9 * moments[2] and spread[2] >= 0.0:
+    if moments[0] > 1e-9 * moments[2] and spread[2] >= 0.0:
         return False
-    spread = np.zeros(3) if negligible else np.maximum(spread, 1e-3 * spread[0])
+    spread = np.maximum(spread, 1e-3 * spread[0])
     matrix = axes @ np.diag(spread.sum() - spread) @ axes.T
-    for row, column in zip(*np.triu_indices(3), strict=True):
-        inertia.set(f"i{'xyz'[row]}{'xyz'[column]}", repr(float(matrix[row, column])))
-    return not negligible
+    link.fullinertia = [*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2]]
+    return True
 
 
-def _add_point_feet(robot: ElementTree.Element) -> list[str]:
-    """Give links named as feet, whose shapes are meshes, a small sphere at their origin.
-
-    Only at the end of legs with at most three joints: a foot on an ankle may be flat. Returns their
-    names.
+def _is_a_foot(link: mujoco.MjsBody) -> bool:
+    """Whether a link is named as a foot, and fixed to the end of a leg of at most three joints: a
+    foot on an ankle may be flat.
     """
-    above = urdf_joints(robot)
-    parents = {parent for parent, _ in above.values()}
-    found = []
-    for link in robot.findall("link"):
-        name = link.get("name", "")
-        shapes = link.findall("collision/geometry/*")
-        if name in parents or not shapes or any(shape.tag != "mesh" for shape in shapes):
-            continue
-        at, turning = name, list[bool]()
-        while at in above and len(turning) <= len(above):
-            at, turns = above[at]
-            turning.append(turns)
-        fixed, joints = turning[:1] == [False], sum(turning)
-        if fixed and 0 < joints < 4 and any(word in name.lower() for word in ("foot", "toe")):
-            geometry = ElementTree.SubElement(ElementTree.SubElement(link, "collision"), "geometry")
-            ElementTree.SubElement(geometry, "sphere", radius=repr(_POINT_FOOT))
-            found.append(name)
-    return found
-
-
-def _matrix(inertia: ElementTree.Element) -> np.ndarray:
-    """Inertia (3, 3) of a URDF's link [kg m^2]."""
-    order = ["ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz"]
-    return np.reshape([float(inertia.get(pair, "0")) for pair in order], (3, 3))
+    joints, above = 0, link
+    while above := above.parent:
+        joints += sum(joint.type != _FREE for joint in above.joints)
+    named = any(word in link.name.lower() for word in ("foot", "toe"))
+    return named and not link.bodies and not link.joints and 0 < joints < 4
 
 
 def _floating(robot: ElementTree.Element) -> str:
@@ -245,9 +219,6 @@ def _floating(robot: ElementTree.Element) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-        inertial = link.find("inertial")
-        if inertial is not None and _is_a_frame(inertial):
-            link.remove(inertial)
     children = {child.get("link", "") for child in robot.findall("joint/child")}
     parents = {parent.get("link", "") for parent in robot.findall("joint/parent")}
     names = [link.get("name", "") for link in robot.findall("link")]
@@ -276,9 +247,6 @@ def _floating(robot: ElementTree.Element) -> str:
         # A URDF's link without <inertial> has no mass; MuJoCo would take it from its shapes.
         compiler.attrib.setdefault("inertiafromgeom", "false")
     return ElementTree.tostring(robot, encoding="unicode")
-
-
-_FREE, _HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
 
 
 def name_parts(spec: mujoco.MjSpec) -> tuple[str, ...]:
