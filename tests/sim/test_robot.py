@@ -294,35 +294,29 @@ def test_a_joint_without_a_torque_limit_is_named_and_not_walked(tmp_path):
     refused("no torque limit for joint fl_j1; give its actuator a", build_world, robot, Ground(0.8))
 
 
-def test_a_urdf_need_not_declare_the_world(tmp_path):
-    """Some readers of URDF know the world without its link: a machine that is fixed to it."""
-    weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
-    file = written(tmp_path / "arm.urdf", URDF.replace("</robot>", f"{weld}</robot>"))
+WELD = '<joint name="weld" type="fixed"><parent link="{}"/><child link="{}"/></joint>'
+GUARD = '<link name="guard"><collision><geometry><box size="1 1 1"/></geometry></collision></link>'
+FRAME = (
+    '<link name="imu"><inertial><mass value="1e-7"/>'
+    '<inertia ixx="1e-22" iyy="1e-22" izz="1e-22" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+
+
+@pytest.mark.parametrize(
+    ("extra", "nq", "masses"),
+    [
+        # Some readers of URDF know the world without its link: a machine that is fixed to it.
+        (WELD.format("world", "base"), 1, [0.0, 5.0, 1.0]),
+        # Guards and boxes are often drawn as shapes alone, and weigh nothing to other readers.
+        (GUARD + WELD.format("base", "guard"), 8, [0.0, 5.0, 0.0, 1.0]),
+        # What has next to no inertia is a frame.
+        (FRAME + WELD.format("base", "imu"), 8, [0.0, 5.0, 0.0, 1.0]),
+    ],
+)
+def test_a_link_of_a_urdf_weighs_what_its_inertial_says(tmp_path, extra, nq, masses):
+    file = written(tmp_path / "arm.urdf", URDF.replace("</robot>", f"{extra}</robot>"))
     model = compiled_model(file)
-    assert (model.nq, model.body("base").mass[0]) == (1, 5.0)
-
-
-def test_a_link_of_a_urdf_without_inertia_has_no_mass(tmp_path):
-    """Guards and boxes are often drawn as shapes alone, and weigh nothing to other readers."""
-    shape = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
-    guard = (
-        f'<link name="guard">{shape}</link><joint name="mount" type="fixed">'
-        '<parent link="base"/><child link="guard"/></joint>'
-    )
-    file = written(tmp_path / "arm.urdf", URDF.replace("</robot>", f"{guard}</robot>"))
-    model = compiled_model(file)
-    assert model.ngeom == 1
-    assert model.body_mass.sum() == 6.0
-
-
-def test_a_frame_with_next_to_no_inertia_is_a_frame(tmp_path):
-    moments = 'ixx="1e-22" iyy="1e-22" izz="1e-22" ixy="0" ixz="0" iyz="0"'
-    imu = (
-        f'<link name="imu"><inertial><mass value="1e-7"/><inertia {moments}/></inertial></link>'
-        '<joint name="mount" type="fixed"><parent link="base"/><child link="imu"/></joint>'
-    )
-    file = written(tmp_path / "arm.urdf", URDF.replace("</robot>", f"{imu}</robot>"))
-    assert compiled_model(file).body("imu").mass[0] == 0.0
+    assert (model.nq, sorted(model.body_mass)) == (nq, sorted(masses))
 
 
 def test_inertias_of_a_urdf_that_no_body_has_are_mended_and_named(tmp_path):
