@@ -188,7 +188,8 @@ def _mend(link: mujoco.MjsBody) -> bool:
         raise ValueError(f"the inertia of {link.name} is below zero or not finite")
     if np.abs(matrix).max() < _NO_INERTIA:
         link.fullinertia, link.inertia = [np.nan, 0, 0, 0, 0, 0], np.zeros(3)
-        link.mass *= link.mass >= _NO_MASS
+        if link.mass < _NO_MASS:
+            link.mass = 0.0
         return False
     moments, axes = np.linalg.eigh(matrix)
     spread = 0.5 * moments.sum() - moments
