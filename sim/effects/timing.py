@@ -75,7 +75,8 @@ def log_at(log: Log, kinds: tuple[str, ...], then: np.ndarray) -> Log:
     """
     t = log.t
     then = np.clip(then, t[0], t[-1])
-    names = [n for n in log.columns if n.split("_")[0] in kinds and not _commanded(n)]
+    commands = "q_des_", "dq_des_", "tau_ff_"
+    names = [n for n in log.columns if n.split("_")[0] in kinds and not n.startswith(commands)]
     flags = [n for n in names if n.startswith(("contact_", "ref_ok"))]
     turns = [n for n in names if n.startswith("ref_q_")]
     smooth = [n for n in names if n not in flags and n not in turns]
@@ -110,10 +111,6 @@ def _spline(log: Log, kind: str, names: list[str]) -> CubicSpline:
 def _nearest(t: np.ndarray, then: np.ndarray) -> np.ndarray:
     """Index of the row nearest to each time in `then` (N,) [s]."""
     return np.searchsorted(0.5 * (t[1:] + t[:-1]), then)
-
-
-def _commanded(name: str) -> bool:
-    return name.startswith(("q_des_", "dq_des_", "tau_ff_"))
 
 
 LAG_PIECE = 4.0
