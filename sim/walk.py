@@ -30,7 +30,6 @@ from surefoot.sim.robot.catalog import model_metadata
 from surefoot.sim.robot.legs import JOINTS, LEGS, find_legs
 from surefoot.sim.scenario import DrawnScenario, Scenario, drawn
 from surefoot.sim.sensors.streams import (
-    ContactSwitch,
     Motion,
     Reference,
     SensorErrors,
@@ -218,7 +217,6 @@ class Sensing:
         shape, weight = (rows, len(JOINTS), len(LEGS)), robot.mass * GRAVITY
         rate = 1.0 / TIMESTEP
         self._errors = SensorErrors(self._sensors, rng, shape, rate, weight)
-        self._contact = ContactSwitch(self._sensors, rng, weight, rate)
         # With the legs and soles of the simulated world, effects included, for the truth.
         tree = find_legs(made.world.model, robot.name)
         self._as_simulated = replace(robot, legs=tree.constants, foot_radius=tree.foot_radius)
@@ -233,9 +231,9 @@ class Sensing:
         streams = replace(streams, contact_threshold=self._sensors.contact_threshold)
         for effect in effects:
             streams = effect.alter_streams(streams, robot)
-        streams = self._errors.apply(streams)
+        streams, contact = self._errors.apply(streams)
         truth = foot_truth(motion, self._as_simulated, self._made.ground)
-        return _frame(streams, self._contact.read(streams), reference, *truth)
+        return _frame(streams, contact, reference, *truth)
 
 
 def meta_of(made: Plan) -> Meta:

@@ -23,7 +23,7 @@ from surefoot.estimator.metrics import matched, relative_errors, segments
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.series import interpolate_rows
-from surefoot.sim.effects.resampling import log_at
+from surefoot.sim.effects.timing import log_at
 from surefoot.sim.importing.advice import Changes
 from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds
 from surefoot.sim.importing.sections import ContactTable, Quantity

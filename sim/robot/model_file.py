@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.quaternion import matrix_from_quaternion
-from surefoot.sim.robot.model_gate import check_compiled, check_model_file, urdf_joints
+from surefoot.sim.robot.legs import posed
+from surefoot.sim.robot.model_gate import check_compiled, check_model_file
 
 # Otherwise MuJoCo writes MUJOCO_LOG.TXT to the working directory; unstable walks are reported
 # anyway.
@@ -29,6 +29,7 @@ _POINT_FOOT = 1e-3
 """Radius of a foot whose shape is a mesh of a URDF [m]."""
 _IMU_LINK = re.compile(r"(base_|trunk_|body_|pelvis_)?imu(_link|_frame|_sensor)?")
 """Names, in lower case, of a URDF's link that carries the IMU."""
+_FREE, _HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
 
 
 def read_model(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
@@ -114,49 +115,32 @@ def _unreadable(file: Path, error: Exception) -> SurefootError:
     return SurefootError(f"robot {file}: MuJoCo cannot read it: {reason}")
 
 
-def _is_a_frame(inertial: ElementTree.Element) -> bool:
-    """Whether a link's mass and inertia are negligible, so that it is only a frame."""
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or inertia is None:
-        return False
-    moments = [abs(float(inertia.get(axis, "inf"))) for axis in ("ixx", "iyy", "izz")]
-    return float(mass.get("value", "inf")) < _NO_MASS and max(moments) < _NO_INERTIA
-
-
 def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The MjSpec of a URDF with a floating root, and the corrections of its inertias, in words."""
     robot = ElementTree.parse(file).getroot()
-    for mass in robot.findall("link/inertial/mass"):
-        if float(mass.get("value", "0")) < 0.0:  # which a lower bound of masses would hide
-            raise ValueError(f"a mass is below zero, {mass.get('value')}")
-    mended: dict[str, list[str]] = {"": [], "flat": [], "indefinite": []}
-    uneven, bare = list[str](), list[str]()
-    for link in robot.findall("link"):
-        name, inertia = link.get("name", ""), link.find("inertial/inertia")
-        if inertia is not None:
-            mended[_mend(inertia)].append(name)
-            low, middle, high = np.linalg.eigvalsh(_matrix(inertia))
-            if low + middle < high:
-                uneven.append(name)
-        shapes = link.findall("collision/geometry/*")
-        if link.find("inertial") is None and any(shape.tag != "mesh" for shape in shapes):
-            bare.append(name)
-    if robot.find("link/inertial") is None:
-        bare = []
-    said = {
-        "a moment of inertia is zero about an axis; a thousandth of the largest is taken for "
-        "it of ": mended["flat"],
-        "a moment of inertia is below zero about an axis; the products of inertia are taken for "
-        "zero of ": mended["indefinite"],
-        "without <inertial>, these links have no mass: ": bare,
-        "meshes of a URDF are not read: feet are points at ": _add_point_feet(robot),
-        "one moment of inertia exceeds the sum of the others, which no body has; their mean is "
-        "taken for all three of ": uneven,
+    shapes = {
+        link.get("name", ""): {shape.tag for shape in link.findall("collision/geometry/*")}
+        for link in robot.findall("link")
     }
-    changes = [what + ", ".join(links) for what, links in said.items() if links]
     spec = mujoco.MjSpec.from_string(_floating(robot))
-    if uneven:
-        spec.compiler.balanceinertia = True
+    links = spec.bodies[1:]
+    if any(link.mass < 0.0 for link in links):  # which a lower bound of masses would hide
+        raise ValueError("a mass is below zero")
+    weighed = [link for link in links if link.explicitinertial]
+    feet = [link for link in links if shapes.get(link.name) == {"mesh"} and _is_a_foot(link)]
+    for foot in feet:
+        foot.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_POINT_FOOT, 0, 0])
+    said = {
+        "a moment of inertia is zero, below zero or above the sum of the others, which no body "
+        "has; the nearest that one can have is taken for ": list(filter(_mend, weighed)),
+        "without <inertial>, these links have no mass: ": [
+            link
+            for link in links
+            if weighed and not link.explicitinertial and shapes.get(link.name, set()) - {"mesh"}
+        ],
+        "meshes of a URDF are not read: feet are points at ": feet,
+    }
+    changes = [f"{what}{', '.join(link.name for link in of)}" for what, of in said.items() if of]
     try:
         model = spec.copy().compile()
     except ValueError as error:
@@ -177,79 +161,55 @@ def _urdf_spec(file: Path) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
 
 def _mark_imu(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     """Place a site named imu on the floating base where a link fixed to it is named as an IMU."""
+    data = posed(model)
     for link in range(1, model.nbody):
-        if not _IMU_LINK.fullmatch(model.body(link).name.lower()):
-            continue
-        p, quaternion, body = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), link
-        while body and not model.body_jntnum[body]:
-            R = matrix_from_quaternion(model.body_quat[body])
-            mujoco.mju_mulQuat(quaternion, model.body_quat[body].copy(), quaternion.copy())
-            p, body = model.body_pos[body] + R @ p, int(model.body_parentid[body])
-        first = int(model.body_jntadr[body])
-        if body and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE:
-            base = spec.body(model.body(body).name)
-            base.add_site(name="imu", pos=p, quat=quaternion)
+        base = int(model.body_weldid[link])
+        free = base and model.jnt_type[model.body_jntadr[base]] == _FREE
+        if free and _IMU_LINK.fullmatch(model.body(link).name.lower()):
+            p, quat = np.empty(3), np.empty(4)
+            mujoco.mju_negPose(p, quat, data.xpos[base], data.xquat[base])
+            mujoco.mju_mulPose(p, quat, p.copy(), quat.copy(), data.xpos[link], data.xquat[link])
+            spec.body(model.body(base).name).add_site(name="imu", pos=p, quat=quat)
             return
 
 
-def _mend(inertia: ElementTree.Element) -> str:
-    """Change an inertia that is not positive definite to one that is: "flat" if a moment was zero,
-    "indefinite" if one was negative, else "".
+def _mend(link: mujoco.MjsBody) -> bool:
+    """Change an inertia that no body can have to the nearest that one can, and say whether it was.
 
-    A moment about a principal axis that is zero, as of a thin rod, becomes a thousandth of the
-    largest. Where one is negative, products of inertia are taken for zero. A negligible inertia
-    becomes zero. Raises ValueError for one that is not finite, or negative about x, y or z.
+    The second moments of a body's mass along its principal axes, each half the sum of the moments
+    of inertia less the moment about that axis, are not below zero. Those that are, or that are zero
+    like all but one of a thin rod, become a thousandth of the largest. A negligible inertia becomes
+    zero, and so does then a negligible mass. Raises ValueError for one that is not finite, or
+    below zero about x, y or z.
     """
-    matrix, found = _matrix(inertia), ""
-    if not np.isfinite(matrix).all():
-        raise ValueError("an inertia is not finite")
+    xx, yy, zz, xy, xz, yz = link.fullinertia
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.isfinite(matrix).all() or min(xx, yy, zz) < 0.0:
+        raise ValueError(f"the inertia of {link.name} is below zero or not finite")
     if np.abs(matrix).max() < _NO_INERTIA:
-        matrix = np.zeros((3, 3))
-    elif min(np.diag(matrix)) < 0.0:
-        raise ValueError(f"a moment of inertia is below zero, {min(np.diag(matrix)):g}")
-    else:
-        moments, axes = np.linalg.eigh(matrix)
-        if moments[0] > 1e-9 * moments[2]:
-            return ""
-        found = "flat" if moments[0] > -1e-9 * moments[2] else "indefinite"
-        if found == "indefinite":
-            moments, axes = np.diag(matrix), np.eye(3)
-        matrix = axes @ np.diag(np.maximum(moments, 1e-3 * moments.max())) @ axes.T
-    for row, column in zip(*np.triu_indices(3), strict=True):
-        inertia.set(f"i{'xyz'[row]}{'xyz'[column]}", repr(float(matrix[row, column])))
-    return found
+        link.fullinertia, link.inertia = [np.nan, 0, 0, 0, 0, 0], np.zeros(3)
+        if link.mass < _NO_MASS:
+            link.mass = 0.0
+        return False
+    moments, axes = np.linalg.eigh(matrix)
+    spread = 0.5 * moments.sum() - moments
+    if moments[0] > 1e-9 * moments[2] and spread[2] >= 0.0:
+        return False
+    spread = np.maximum(spread, 1e-3 * spread[0])
+    matrix = axes @ np.diag(spread.sum() - spread) @ axes.T
+    link.fullinertia = [*np.diag(matrix), matrix[0, 1], matrix[0, 2], matrix[1, 2]]
+    return True
 
 
-def _add_point_feet(robot: ElementTree.Element) -> list[str]:
-    """Give links named as feet, whose shapes are meshes, a small sphere at their origin.
-
-    Only at the end of legs with at most three joints: a foot on an ankle may be flat. Returns their
-    names.
+def _is_a_foot(link: mujoco.MjsBody) -> bool:
+    """Whether a link is named as a foot, and fixed to the end of a leg of at most three joints: a
+    foot on an ankle may be flat.
     """
-    above = urdf_joints(robot)
-    parents = {parent for parent, _ in above.values()}
-    found = []
-    for link in robot.findall("link"):
-        name = link.get("name", "")
-        shapes = link.findall("collision/geometry/*")
-        if name in parents or not shapes or any(shape.tag != "mesh" for shape in shapes):
-            continue
-        at, turning = name, list[bool]()
-        while at in above and len(turning) <= len(above):
-            at, turns = above[at]
-            turning.append(turns)
-        fixed, joints = turning[:1] == [False], sum(turning)
-        if fixed and 0 < joints < 4 and any(word in name.lower() for word in ("foot", "toe")):
-            geometry = ElementTree.SubElement(ElementTree.SubElement(link, "collision"), "geometry")
-            ElementTree.SubElement(geometry, "sphere", radius=repr(_POINT_FOOT))
-            found.append(name)
-    return found
-
-
-def _matrix(inertia: ElementTree.Element) -> np.ndarray:
-    """Inertia (3, 3) of a URDF's link [kg m^2]."""
-    order = ["ixx", "ixy", "ixz", "ixy", "iyy", "iyz", "ixz", "iyz", "izz"]
-    return np.reshape([float(inertia.get(pair, "0")) for pair in order], (3, 3))
+    joints, above = 0, link
+    while above := above.parent:
+        joints += sum(joint.type != _FREE for joint in above.joints)
+    named = any(word in link.name.lower() for word in ("foot", "toe"))
+    return named and not link.bodies and not link.joints and 0 < joints < 4
 
 
 def _floating(robot: ElementTree.Element) -> str:
@@ -260,9 +220,6 @@ def _floating(robot: ElementTree.Element) -> str:
         for shape in (*link.findall("visual"), *link.findall("collision")):
             if shape.find("geometry/mesh") is not None:
                 link.remove(shape)
-        inertial = link.find("inertial")
-        if inertial is not None and _is_a_frame(inertial):
-            link.remove(inertial)
     children = {child.get("link", "") for child in robot.findall("joint/child")}
     parents = {parent.get("link", "") for parent in robot.findall("joint/parent")}
     names = [link.get("name", "") for link in robot.findall("link")]
@@ -293,9 +250,6 @@ def _floating(robot: ElementTree.Element) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-_FREE, _HINGE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE
-
-
 def name_parts(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Name the bodies and joints of a spec that have no name, which MJCF allows, by their number.
 
@@ -322,9 +276,8 @@ def leave_out_surroundings(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Remove the other bodies of a scene in which something moves freely: balls, tables, carts.
 
     The machine is the body of the world with the most chains of two or more hinges. If it moves
-    freely, all others go; if it is fixed to the world, those that
-    move freely do. Its posture in the keyframe "home" remains. Returns the change in words, if
-    there is one. Raises SurefootError where two bodies have equal claims.
+    freely, all others go; if it is fixed to the world, those that move freely do. Returns the
+    change in words, if there is one. Raises SurefootError where two bodies have equal claims.
     """
     bodies = list(spec.worldbody.bodies)
     free = [body for body in bodies if _is_free(body)]
@@ -338,25 +291,12 @@ def leave_out_surroundings(spec: mujoco.MjSpec) -> tuple[str, ...]:
         )
     out = [b for b in (bodies if _is_free(machine) else free) if b.name != machine.name]
     left_out = [body.name for body in out]
-    model = spec.copy().compile()
-    inside = _joint_places(model, left_out)
-    home = [model.key_qpos[i][inside] for i, key in enumerate(spec.keys) if key.name == "home"]
-    for part in (*spec.keys, *out):
-        spec.delete(part)
+    for body in out:
+        spec.delete(body)
     for looking in (*spec.cameras, *spec.lights):
         if looking.targetbody and spec.body(looking.targetbody) is None:
             spec.delete(looking)
-    for qpos in home:
-        spec.add_key(name="home", qpos=qpos)
     return (f"left out, as no part of the robot: {', '.join(left_out)}",)
-
-
-def _joint_places(model: mujoco.MjModel, out: list[str]) -> list[int]:
-    """Elements of a model's qpos, without those of the bodies of the world with these names."""
-    roots = model.body_rootid[model.jnt_bodyid]
-    starts = [*model.jnt_qposadr.tolist(), model.nq]
-    kept = (j for j in range(model.njnt) if model.body(roots[j]).name not in out)
-    return [place for j in kept for place in range(starts[j], starts[j + 1])]
 
 
 def _is_free(body: mujoco.MjsBody) -> bool:

@@ -202,7 +202,12 @@ class _Scan:
 
     def check_chains(self, robot: ElementTree.Element) -> None:
         """Raise for a URDF whose links are nested too deeply."""
-        parents = {child: parent for child, (parent, _) in urdf_joints(robot).items()}
+        joints = ((joint.find("child"), joint.find("parent")) for joint in robot.iter("joint"))
+        parents = {
+            child.get("link", ""): parent.get("link", "")
+            for child, parent in joints
+            if child is not None and parent is not None
+        }
         for above in parents:
             for _ in range(DEEPEST):
                 above = parents.get(above, "")
@@ -323,16 +328,6 @@ class _Scan:
     def refuse(self, why: str) -> NoReturn:
         """Raise SurefootError with the model's file."""
         raise SurefootError(f"robot {self.file}: {why}")
-
-
-def urdf_joints(robot: ElementTree.Element) -> dict[str, tuple[str, bool]]:
-    """Link of a URDF -> the link above it, and whether the joint between them moves."""
-    found = dict[str, tuple[str, bool]]()
-    for joint in robot.iter("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            found[child.get("link", "")] = parent.get("link", ""), joint.get("type") != "fixed"
-    return found
 
 
 def _plain_name(name: str) -> str:

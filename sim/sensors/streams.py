@@ -137,12 +137,7 @@ class Streams:
     @property
     def rate(self) -> float:
         """Sampling rate [Hz]."""
-        return rate_of(self.t)
-
-
-def rate_of(t: np.ndarray) -> float:
-    """Sampling rate [Hz] of the times t (N,) [s]."""
-    return float(1.0 / np.median(np.diff(t)))
+        return float(1.0 / np.median(np.diff(self.t)))
 
 
 @dataclass(frozen=True)
@@ -203,8 +198,11 @@ def imu_between_states(
 
 
 class SensorErrors:
-    """Errors of all sensors over a walk, added in pieces; the numbers do not depend on the
-    pieces.
+    """Errors of all sensors over a walk, contacts included, whose readings may come in pieces; the
+    numbers do not depend on the pieces.
+
+    A sensed contact is the measured force compared with a threshold, delayed, and wrong in samples
+    drawn at random.
     """
 
     def __init__(
@@ -215,11 +213,11 @@ class SensorErrors:
         rate: float,
         weight: float,
     ):
-        """Advances `rng` to where a `ContactSwitch` continues.
+        """Draw what is of the whole walk.
 
         Args:
             sensors: sizes of the errors; noise is a density, per rtHz.
-            rng: random generator.
+            rng: random generator, drawn from as pieces are read, too.
             shape: numbers of rows, joints and legs.
             rate: sampling rate [Hz].
             weight: of the robot [N].
@@ -234,9 +232,12 @@ class SensorErrors:
         self._offset, self._step = rng.normal(0.0, s.encoder_offset, joints), s.encoder_step
         drawn = n * joints if s.encoder_noise else 0
         self._q = deferred_normals(rng, drawn), s.encoder_noise
+        self._sensors, self._rng, self._weight = sensors, rng, weight
+        self._late = round(s.contact_delay * rate)
+        self._before: np.ndarray | None = None  # the last contacts of the piece before
 
-    def apply(self, streams: Streams) -> Streams:
-        """Add the errors to the next piece of perfect readings."""
+    def apply(self, streams: Streams) -> tuple[Streams, np.ndarray]:
+        """The next piece of perfect readings with errors, and the sensed contacts (N, L)."""
 
         def noisy(reading: np.ndarray, of: tuple[np.random.Generator, float]) -> np.ndarray:
             return reading + of[0].normal(0.0, of[1], reading.shape)
@@ -246,7 +247,7 @@ class SensorErrors:
             q = noisy(q, self._q)
         if self._step:
             q = np.round(q / self._step) * self._step
-        return replace(
+        read = replace(
             streams,
             gyro=self._gyro.apply(streams.gyro),
             accel=self._accel.apply(streams.accel),
@@ -255,6 +256,16 @@ class SensorErrors:
             tau=noisy(streams.tau, self._tau),
             force=np.maximum(noisy(streams.force, self._force), 0.0),
         )
+        return read, self._contact(read.force)
+
+    def _contact(self, force: np.ndarray) -> np.ndarray:
+        stands = force > self._sensors.contact_threshold * self._weight
+        if self._before is None:
+            self._before = np.repeat(stands[:1], self._late, axis=0)
+        known = np.concatenate([self._before, stands])
+        stands, self._before = known[: len(stands)], known[len(stands) :]
+        wrong = np.where(stands, self._sensors.contact_missed, self._sensors.contact_false)
+        return stands ^ (self._rng.random(stands.shape) < wrong)
 
 
 class _ImuErrors:
@@ -289,31 +300,6 @@ class _ImuErrors:
             noisy, self._filtered = low_pass_from(self._filtered, noisy, time, self._rate)
         step = self._range / 2**15
         return np.clip(np.round(noisy / step) * step, -self._range, self._range)
-
-
-class ContactSwitch:
-    """Sensed contact of each foot over a walk, whose readings may come in pieces.
-
-    The measured force compared with a threshold, delayed, and wrong in samples drawn at random.
-    """
-
-    def __init__(self, sensors: Sensors, rng: np.random.Generator, weight: float, rate: float):
-        """Draws from `rng` as pieces are read; `weight` of the robot [N], `rate` of the log
-        [Hz].
-        """
-        self._sensors, self._rng, self._weight = sensors, rng, weight
-        self._late = round(sensors.contact_delay * rate)
-        self._before: np.ndarray | None = None  # the last rows of the piece before
-
-    def read(self, streams: Streams) -> np.ndarray:
-        """Sensed contact (N, L) of each foot in the next piece."""
-        stands = streams.force > self._sensors.contact_threshold * self._weight
-        if self._before is None:
-            self._before = np.repeat(stands[:1], self._late, axis=0)
-        known = np.concatenate([self._before, stands])
-        stands, self._before = known[: len(stands)], known[len(stands) :]
-        wrong = np.where(stands, self._sensors.contact_missed, self._sensors.contact_false)
-        return stands ^ (self._rng.random(stands.shape) < wrong)
 
 
 @kernel(nogil=True)

@@ -85,14 +85,6 @@ def test_imu_lowpass_is_of_first_order(plain, walked):
     assert_array_equal(log.q, plain.q)
 
 
-def test_backlash_has_two_sides_and_the_torque_chooses(plain, walked):
-    log = walked("backlash", "RL_calf", 0.02)
-    shift = log.q - plain.q
-    assert_allclose(shift[:, J], 0.01 * np.sign(plain.tau[:, J]), atol=1e-12)
-    assert 0.02 < (shift[:, J] < 0).mean() < 0.98
-    assert not np.delete(shift, J, axis=1).any()
-
-
 @pytest.mark.parametrize("target", ["imu", "joints", "feet", "reference"])
 def test_clock_scale_drifts_one_stream_against_the_others(plain, walked, target):
     log = walked("clock_scale", target, -0.0101)

@@ -16,7 +16,6 @@ from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.robot import Robot
 from surefoot.sim.robot.body_changes import LinkChange
 from surefoot.sim.robot.inverse_dynamics import BodyChanges, dynamics_of
-from surefoot.sim.robot.kinematics import axis_rotation
 
 
 @pytest.mark.parametrize("name", ["spot_class", "v60_class"])
@@ -47,18 +46,6 @@ def test_foot_rate_is_that_of_a_rigid_last_link(robot):
     spread = [o.feet_I(q + e * dq) - o.feet_I(q - e * dq) for o in (other, robot)]
     relative = (spread[0] - spread[1]) / (2 * e)
     np.testing.assert_allclose(np.cross(robot.feet.rates_I(q, dq), arm), relative, atol=1e-7)
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-7, 0.3, np.pi - 1e-9, np.pi, 5.0])
-def test_axis_rotation_is_a_rotation_that_adds_up(angle):
-    axis = np.array([1.0, -2.0, 0.5])
-    axis /= np.linalg.norm(axis)
-    R = np.array(axis_rotation(axis, angle)).reshape(3, 3)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    np.testing.assert_allclose(R @ axis, axis, atol=1e-14)
-    half = np.array(axis_rotation(axis, angle / 2)).reshape(3, 3)
-    np.testing.assert_allclose(half @ half, R, atol=1e-14)
 
 
 def test_joint_angles_of_another_shape_are_refused(robot):

@@ -23,19 +23,6 @@ LOG = cast(Log, SimpleNamespace())
 
 
 @pytest.mark.parametrize(
-    ("name", "target", "least"), [("link_mass", "FL_thigh", 0.5), ("link_com", "FL_thigh_z", 0.1)]
-)
-def test_what_a_leg_lacks_is_looked_for_up_to_a_size_that_its_parts_have(name, target, least):
-    """A fifth of the thigh's mass, a third of its length; a gantry's links may be off by more."""
-    kind = CATALOGUE[name]
-    assert len(effect(name, target, -least).compensate(LOG, SPOT)[1].extras.links) == 1
-    low, _ = kind.bounds_on(SPOT.limbs, target)
-    assert low <= -least
-    assert low > -1.04 * least
-    assert kind.bounds_on(Limbs((), ("slide", "lift"), ()))[0] <= 5.0 * low
-
-
-@pytest.mark.parametrize(
     ("name", "target"),
     [
         *(("leg_heading", target) for target in ("FL_z", "RR_x", "FR_y")),
@@ -86,21 +73,27 @@ def test_a_leg_turned_about_its_hips_axis_is_an_error_of_the_hips_encoder():
 
 
 @pytest.mark.parametrize(
-    ("name", "target", "least", "most"),
+    ("name", "target", "least", "most", "of_legs"),
     [
-        ("link_mass", "FL_calf", -20.0, 200.0),
-        ("link_com", "FL_calf_z", -0.5, 0.5),
-        ("link_inertia", "FL_calf", -20.0, 20.0),
+        ("link_mass", "FL_thigh", -20.0, 200.0, -0.5),  # a fifth of the thigh
+        ("link_com", "FL_thigh_z", -0.5, 0.5, -0.1),  # a third of its length
+        ("link_inertia", "FL_calf", -20.0, 20.0, 0.0),
     ],
 )
-def test_what_a_file_of_effects_may_say_of_a_link(name, target, least, most):
-    """A bound is part of the file's format: what was written at it must stay of use."""
+def test_what_a_file_may_say_of_a_link_and_up_to_which_size_it_is_looked_for(
+    name, target, least, most, of_legs
+):
+    """A bound is part of the file's format: what was written at it must stay of use. Parts of legs
+    are off by less than a gantry's."""
     for value in (least, most):
         one = effect(name, target, value)
         assert one.value == value
         assert len(one.compensate(LOG, SPOT)[1].extras.links) == 1
     for value in (least - 0.01, most + 0.01):
         refused(name, effect, name, target, value)
+    kind = CATALOGUE[name]
+    assert kind.bounds_on(SPOT.limbs, target)[0] == of_legs
+    assert kind.bounds_on(Limbs((), ("slide", "lift"), ()))[0] <= 5.0 * of_legs
 
 
 @pytest.mark.parametrize(

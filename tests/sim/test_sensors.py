@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from surefoot.sim.common.series import low_pass, without_low_pass
-from surefoot.sim.sensors.streams import ContactSwitch, SensorErrors, Sensors, Streams
+from surefoot.sim.sensors.streams import SensorErrors, Sensors, Streams
 
 WEIGHT = 300.0  # N
 RATE = 500.0  # Hz
@@ -31,11 +31,8 @@ def streams():
     )
 
 
-def sensed(streams, sensors):
-    return ContactSwitch(sensors, np.random.default_rng(5), WEIGHT, streams.rate).read(streams)
-
-
-def with_errors(streams, sensors, weight=WEIGHT):
+def read(streams, sensors, weight=WEIGHT):
+    """Readings with errors, and contacts."""
     shape = len(streams.t), streams.q.shape[1], streams.force.shape[1]
     rng = np.random.default_rng(5)
     return SensorErrors(sensors, rng, shape, streams.rate, weight).apply(streams)
@@ -43,44 +40,36 @@ def with_errors(streams, sensors, weight=WEIGHT):
 
 @pytest.mark.parametrize("rows", [0, 10])
 def test_contact_is_a_threshold_that_is_told_late(streams, rows):
-    contact = sensed(streams, Sensors(contact_delay=rows / RATE))
+    _, contact = read(streams, Sensors(contact_delay=rows / RATE))
     assert_array_equal(contact[rows:], (streams.force > 0.08 * WEIGHT)[: len(contact) - rows])
 
 
 def test_contact_is_wrong_as_often_as_told(streams):
     stands = streams.force > 0
     sensors = Sensors(contact_missed=0.05, contact_false=0.01)
-    contact = sensed(streams, sensors)
+    _, contact = read(streams, sensors)
     # 40000 samples of each kind: three standard deviations of the counts.
     assert (~contact[stands]).mean() == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 4e4))
     assert contact[~stands].mean() == pytest.approx(0.01, abs=3 * np.sqrt(0.01 * 0.99 / 4e4))
 
 
 def test_contacts_of_a_light_robot_do_not_flicker(streams):
-    weight, rng = 0.1 * WEIGHT, np.random.default_rng(5)
-    light = with_errors(replace(streams, force=0.1 * streams.force), Sensors(), weight)
-    contact = ContactSwitch(Sensors(), rng, weight, streams.rate).read(light)
+    _, contact = read(replace(streams, force=0.1 * streams.force), Sensors(), 0.1 * WEIGHT)
     assert_array_equal(contact, streams.force > 0)
 
 
-def test_encoder_offsets_are_constant_and_leave_the_other_sensors_alone(streams):
-    plain = with_errors(streams, Sensors())
-    shifted = with_errors(streams, Sensors(encoder_offset=0.02))
-    offset = shifted.q[0] - plain.q[0]
+def test_encoders_err_by_a_constant_and_white_noise_and_leave_the_other_sensors_alone(streams):
+    errors: tuple[dict[str, float], ...] = {}, {"encoder_offset": 0.02}, {"encoder_noise": 1e-3}
+    exact, shifted, noisy = (read(streams, Sensors(encoder_step=0.0, **one))[0] for one in errors)
+    offset = shifted.q[0] - exact.q[0]
     assert 0.005 < np.std(offset) < 0.05
-    assert_allclose(shifted.q - plain.q, np.tile(offset, (len(plain.t), 1)), atol=1e-12)
-    for name in ("gyro", "accel", "dq", "tau", "force"):
-        assert_array_equal(getattr(shifted, name), getattr(plain, name))
-
-
-def test_noise_of_encoders_is_white_and_leaves_the_other_sensors_alone(streams):
-    plain = with_errors(streams, Sensors(encoder_step=0.0))
-    noisy = with_errors(streams, Sensors(encoder_step=0.0, encoder_noise=1e-3))
-    noise = noisy.q - plain.q
+    assert_allclose(shifted.q - exact.q, np.tile(offset, (len(exact.t), 1)), atol=1e-12)
+    noise = noisy.q - exact.q
     assert noise.std() == pytest.approx(1e-3, rel=0.02)
     assert abs(np.mean(noise[1:] * noise[:-1])) < 0.02 * 1e-3**2
     for name in ("gyro", "accel", "dq", "tau", "force"):
-        assert_array_equal(getattr(noisy, name), getattr(plain, name))
+        for one in (shifted, noisy):
+            assert_array_equal(getattr(one, name), getattr(exact, name))
 
 
 @pytest.mark.parametrize("frequency", [2.0, 20.0, 60.0])
@@ -106,8 +95,7 @@ def test_low_pass_starts_at_rest():
 
 
 def test_imu_bandwidth_takes_vibration_away_and_leaves_the_mean(streams):
-    narrow = with_errors(streams, Sensors(imu_bandwidth=10.0))
-    wide = with_errors(streams, Sensors())
+    narrow, wide = (read(streams, Sensors(imu_bandwidth=f))[0] for f in (10.0, 0.0))
     assert narrow.gyro.std() < 0.4 * wide.gyro.std()
     assert_allclose(narrow.accel.mean(0), wide.accel.mean(0), atol=2e-3)
     assert_array_equal(narrow.q, wide.q)

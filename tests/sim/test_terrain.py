@@ -110,12 +110,9 @@ def test_normal_is_the_derivative_of_the_height(strip):
 
 
 def test_stairs_are_the_same_from_either_end():
-    up = Ground(
-        0.8, (), 9.0, (Strip((0.0, 0.0), (3.0, 0.0), 2.0, (0.0, 1.2), steps=10),)
-    ).height_map
-    down = Ground(
-        0.8, (), 9.0, (Strip((3.0, 0.0), (0.0, 0.0), 2.0, (1.2, 0.0), steps=10),)
-    ).height_map
+    ends = (0.0, 0.0), (3.0, 0.0), 2.0, (0.0, 1.2)
+    back = (3.0, 0.0), (0.0, 0.0), 2.0, (1.2, 0.0)
+    up, down = (Ground(0.8, strips=(Strip(*e, steps=10),)).height_map for e in (ends, back))
     for x in np.linspace(-0.5, 3.5, 97):
         assert height(up, x, 0.1) == pytest.approx(height(down, x, 0.1), abs=1e-12)
     assert height(up, 0.01, 0.0) == pytest.approx(0.12)

@@ -175,12 +175,8 @@ def whole(made):
     return record(made, simulate_motion(made.world, SPOT, made.gait, made.course))
 
 
-def pieces_of(made, ticks: int) -> list[pd.DataFrame]:
-    return list(walk_in_pieces(made, ticks=ticks))
-
-
 def test_its_rows_are_those_of_the_whole(made, whole):
-    parts = pieces_of(made, 777)
+    parts = list(walk_in_pieces(made, ticks=777))
     assert len(parts) > 2
     pd.testing.assert_frame_equal(
         pd.concat(parts, ignore_index=True), whole.frame, check_exact=True
