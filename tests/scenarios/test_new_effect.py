@@ -67,7 +67,7 @@ def test_a_class_that_says_too_little_or_takes_a_name_is_not_added(catalogue):
 ADDED = """
 from surefoot.scenarios.stages import processes, stage
 from surefoot.sim.effects import add, effect
-from surefoot.sim.effects.readings import GyroBias
+from surefoot.sim.effects.imu import GyroBias
 
 
 @add
