@@ -204,21 +204,23 @@ def align(
     if speed > FASTEST_LEGS:
         unit = "in mm, not m? Set the unit of ref_p in the map first"
         raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
+    readings, turn, sign, shift = _in_our_convention(readings, starts[0])
     # Wrong strides converge slowly: those that leave clearly more after some steps are left out.
-    every: list[_Fitted] = []
+    every: list[tuple[PlacementFit, Placement]] = []
     for steps in (FIRST_STEPS, MOST_STEPS) if len(starts) > 1 else (MOST_STEPS,):
-        every = [one for start in starts if (one := _fitted(readings, start, seed, steps))]
+        fits = [fit_placement(readings, x, np.random.default_rng(seed), steps) for x in starts]
+        every = [(one, x) for one, x in zip(fits, starts, strict=True) if one]
+        every = [(one, x) for one, x in every if len(one.t) >= _FEWEST_SAMPLES]
         if not every:
             raise too_little
-        best, as_good = most_likely([one.fit for one in every])
+        best, as_good = most_likely([one for one, _ in every])
         every = [every[k] for k in (best, *as_good)]
-        starts = [one.start for one in every]
-    chosen, *rivals = every
-    fitted, readings, turn = chosen.fit, chosen.readings, chosen.turn
+        starts = [x for _, x in every]
+    fitted, *rivals = (one for one, _ in every)
     R_GW = R_GW if turn is None else turn @ R_GW
     turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
     found, width = fitted.placement, fitted.half_width
-    alike = (one.fit.placement.offset for one in rivals)
+    alike = (one.placement.offset for one in rivals)
     others = np.array(sorted(x for x in alike if abs(x - found.offset) > _SAME_OFFSET))
     halves = about + found.offset + fitted.halves[:, 0]
     missed = _turn_missed(fitted, readings)
@@ -231,12 +233,12 @@ def align(
         p_IM_half_width=width[10:13],
         R_IM_half_width=width[1:4],
         turn_missed=missed,
-        accel_sign=chosen.sign,
-        accel_offset=chosen.shift,
+        accel_sign=sign,
+        accel_offset=shift,
         other_epoch=other_epoch,
         samples=len(fitted.t),
         fitted=fitted,
-        faults=(*turned, *_faults(missed, about + others, halves, chosen.sign, chosen.shift)),
+        faults=(*turned, *_faults(missed, about + others, halves, sign, shift)),
     )
 
 
@@ -267,35 +269,21 @@ def noted_as_aligned(log: Log, alignment: Alignment) -> Log:
     return replace(log, meta=replace(log.meta, derived=derived, model=model))
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A fit, the guess that it started from, the readings that it was made with, the turn of
-    the reference's world (None for none), and the sign and shift of the accelerometer.
+def _in_our_convention(
+    readings: Readings, start: Placement
+) -> tuple[Readings, np.ndarray | None, np.ndarray, np.ndarray]:
+    """The readings in a world with z up, by an accelerometer of specific force; the turn (3, 3) of
+    the reference's world, None for none; sign (3,) and shift (3,) of the accelerometer.
     """
-
-    fit: PlacementFit
-    start: Placement
-    readings: Readings
-    turn: np.ndarray | None
-    sign: np.ndarray
-    shift: np.ndarray
-
-
-def _fitted(readings: Readings, start: Placement, seed: int, steps: int) -> _Fitted | None:
-    """The fit from a guess; None where IMU and reference have too little in common."""
     felt, moved, lever = specific_forces(readings, start)
     if len(felt) < _FEWEST_SAMPLES:
-        return None
+        return readings, None, np.ones(3), np.zeros(3)
     turn = _level(readings, start, felt.mean(axis=0))
     if turn is not None:
         readings = replace(readings, poses=in_world(readings.poses, turn))
         felt, moved, lever = specific_forces(readings, start)
     sign, shift = _accelerometer(felt, moved, lever)
-    readings = replace(readings, accel=readings.accel * sign + shift)
-    fit = fit_placement(readings, start, np.random.default_rng(seed), steps)
-    if fit is None or len(fit.t) < _FEWEST_SAMPLES:
-        return None
-    return _Fitted(fit, start, readings, turn, sign, shift)
+    return replace(readings, accel=readings.accel * sign + shift), turn, sign, shift
 
 
 def _recorded(t: np.ndarray) -> float:

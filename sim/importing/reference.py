@@ -30,9 +30,9 @@ REFERENCE_SAMPLES = "reference_samples"
 """The same: time of the first sample of its reference and usual interval between them [s]."""
 
 
-def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[Poses, list[str]]:
+def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray, notes: list[str]) -> Poses:
     """Poses in a reference's own columns t, ref_p and ref_q, or ref_roll, ref_pitch and ref_yaw:
-    R = Rz(yaw) Ry(pitch) Rx(roll); and a note on samples without an attitude, which are left out.
+    R = Rz(yaw) Ry(pitch) Rx(roll). Samples without an attitude are left out and added to the notes.
 
     Raises LogError as `unit_quaternions`, with the same arguments.
     """
@@ -40,15 +40,14 @@ def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[P
     if EULER[0] in table:
         angles = np.column_stack([table[name] for name in EULER])
         q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
-        return Poses(table["t"], p, q), []
+        return Poses(table["t"], p, q)
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
-    known, notes = np.ones(len(q), dtype=bool), []
-    lost = np.flatnonzero(np.all(q == 0.0, axis=1))
-    if 0 < len(lost) < len(q):
-        known[lost] = False
-        notes.append(f"{path}: left out: {len(lost)} samples without an attitude (0, 0, 0, 0)")
+    known = np.any(q, axis=1)
+    if known.all() or not known.any():
+        return Poses(table["t"], p, unit_quaternions(path, q, unit, rows))
+    notes.append(f"{path}: left out: {np.sum(~known)} samples without an attitude (0, 0, 0, 0)")
     q = unit_quaternions(path, q[known], unit, rows[known])
-    return Poses(table["t"][known], p[known], q), notes
+    return Poses(table["t"][known], p[known], q)
 
 
 def unit_quaternions(
