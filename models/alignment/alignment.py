@@ -84,8 +84,6 @@ class Alignment(Placement):
         turn_missed: share of the gyro's rotation that the tracked body does not have.
         accel_sign: factor of each axis that makes the accelerometer a specific force (3,).
         accel_offset: to add to it (3,) [m/s^2].
-        other_epoch: whether the clocks have no time in common, so that all offsets were searched.
-        samples: number of samples of the reference.
         fitted: residuals of the fit.
         faults: reasons to doubt the result, in words.
     """
@@ -99,8 +97,6 @@ class Alignment(Placement):
     turn_missed: float
     accel_sign: np.ndarray
     accel_offset: np.ndarray
-    other_epoch: bool
-    samples: int
     fitted: PlacementFit
     faults: tuple[str, ...]
 
@@ -117,9 +113,7 @@ class Alignment(Placement):
         return (
             f"clock: add {_numbers(np.array([self.offset]), 4)} s to the reference's stamps "
             f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
-            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s"
-            + "; the clocks count from different epochs"
-            * self.other_epoch,
+            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s",
             f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
@@ -189,7 +183,7 @@ def align(
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     apart = max(poses.t[0] + about - t[-1], t[0] - poses.t[-1] - about) + LEAST_OVERLAP
-    if other_epoch := bool(apart > (_OTHER_EPOCH if most is None else most)):
+    if apart > (_OTHER_EPOCH if most is None else most):
         about, most = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1]), None
     poses = replace(poses, t=poses.t + about)
     if most is None:
@@ -213,8 +207,7 @@ def align(
         every = [(one, x) for one, x in every if len(one.t) >= _FEWEST_SAMPLES]
         if not every:
             raise too_little
-        best, as_good = most_likely([one for one, _ in every])
-        every = [every[k] for k in (best, *as_good)]
+        every = [every[k] for k in most_likely([one for one, _ in every])]
         starts = [x for _, x in every]
     fitted, *rivals = (one for one, _ in every)
     R_GW = R_GW if turn is None else turn @ R_GW
@@ -235,8 +228,6 @@ def align(
         turn_missed=missed,
         accel_sign=sign,
         accel_offset=shift,
-        other_epoch=other_epoch,
-        samples=len(fitted.t),
         fitted=fitted,
         faults=(*turned, *_faults(missed, about + others, halves, sign, shift)),
     )

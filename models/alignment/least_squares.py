@@ -236,8 +236,8 @@ def fit_placement(
     return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
 
 
-def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
-    """Number of the fit that leaves least, and of those that do not leave significantly more.
+def most_likely(fits: Sequence[PlacementFit]) -> list[int]:
+    """Number of the fit that leaves least, then of those that do not leave significantly more.
 
     Fits of different clock offsets are compared by what they leave of the same samples of the
     reference: by the mean log-likelihood in each block, for residuals with the tails of Student's
@@ -272,7 +272,7 @@ def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
     for k in range(1, len(fits)):
         worse = more(k, best)
         best = k if len(worse) and worse.mean() < 0.0 else best
-    return best, [k for k in range(len(fits)) if k != best and is_as_good(k)]
+    return [best, *(k for k in range(len(fits)) if k != best and is_as_good(k))]
 
 
 def _window(t: np.ndarray, least: float = _PATH_WINDOW) -> float:

@@ -95,17 +95,16 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         return poses
     moved = tracked_poses(poses, reference)
     moved = replace(moved, t=moved.t + reference_offset(rules, name))
-    if reference.frame == "base":
-        if "p_BI" not in rules.model:
-            raise SurefootError(
-                f'{rules.path}: [reference] frame "base" needs [robot] imu_position, or an IMU in '
-                "the robot's file"
-            )
-        R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
-        p_BI = np.array(rules.model["p_BI"])
-        return mounted(moved, -R_BI.T @ p_BI, R_BI.T)
-    R_IM = matrix_from_quaternion(np.array(reference.q_IM))
-    return mounted(moved, np.array(reference.p_IM), R_IM)
+    if reference.frame == "imu":
+        R_IM = matrix_from_quaternion(np.array(reference.q_IM))
+        return mounted(moved, np.array(reference.p_IM), R_IM)
+    if "p_BI" not in rules.model:
+        raise SurefootError(
+            f'{rules.path}: [reference] frame "base" needs [robot] imu_position, or an IMU in '
+            "the robot's file"
+        )
+    R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
+    return mounted(moved, -R_BI.T @ np.array(rules.model["p_BI"]), R_BI.T)
 
 
 def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:

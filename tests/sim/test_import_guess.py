@@ -339,7 +339,7 @@ def test_swapped_legs_a_wrong_gravity_and_a_wrong_rate_are_asked_about(tmp_path,
     other_axis = {"accel_x": "accel_z", "accel_z": "accel_x"}
     for changed, entry, doubt in (
         (frame.rename(columns=swap), "q_FL_hip", "swapped"),
-        (frame.assign(**turned), "accel_z", "upside down"),
+        (frame.assign(**turned), "accel_z", "gravity reads - on z"),
         (frame.rename(columns=other_axis), "accel_x", "gravity reads + on x"),
         (frame.assign(**{c: 7.0 * x for c, x in rates.items()}), "dq_FL_hip", "times the change"),
         (frame.assign(**{c: -x for c, x in rates.items()}), "dq_FL_hip", "sign = -1"),

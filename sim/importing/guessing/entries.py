@@ -8,9 +8,14 @@ import numpy as np
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.guessing.draft import Entry
-from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of
+from surefoot.sim.importing.guessing.names import (
+    HINGES,
+    Named,
+    by_their_legs,
+    lists_of,
+    name_in_file,
+)
 from surefoot.sim.importing.guessing.recorded_file import RecordedFile
-from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.guessing.units import (
     stride_in_turns,
     unit_of_accel,
@@ -50,9 +55,9 @@ def guess_columns(
     joints, rate = _joint_entries(file, columns)
     notes += _beyond_limits(file, joints)
     # Feet without names are in the order of the joints' legs.
-    known = file.machine.limbs.legs if file.machine is not None else ()
+    legs = file.limbs.legs or LEGS
     order = [*dict.fromkeys(joint.partition("_")[0] for joint in columns.get("q", {}))]
-    legs = order if {*order} == {*(known or LEGS)} else known or LEGS
+    legs = order if {*order} == {*legs} else legs
     feet, feet_notes = _feet_entries(file, legs)
     times = [file.t] if file.t else []
     return [*times, *imu, *joints, *feet], notes + feet_notes, rate
@@ -174,7 +179,7 @@ def _named_joints(file: RecordedFile, given: Mapping[str, Named]) -> list[Entry]
             doubt = "" if file.names[name].kind else "angles, by their sizes?"
             if one.leg and not (one.part or one.joint):
                 doubt = f"which joint of {one.leg} is {name}?"
-            if file.machine is not None and joint not in file.machine.limbs.joints:
+            if file.machine is not None and joint not in file.limbs.joints:
                 doubt = f"{file.machine.name} has no joint {joint}: which is it?"
             found.append(Entry(joint, name, doubt=doubt))
     return found
@@ -195,7 +200,7 @@ def _counted_joints(
     places = sorted({number[n] for n, one in given.items() if one.place is not None})
     values = {number[n]: file.columns[n] for n in angles}
     # The last of a list may be places without a motor, as of the twenty of a Go2.
-    motors = len(file.machine.limbs.joints if file.machine is not None else JOINTS)
+    motors = len(file.limbs.joints or JOINTS)
     silent = not any(values[at].any() for at in places[motors:] if at in values)
     if silent and len(places) not in map(len, file.lists.values()):
         places = places[:motors]
@@ -236,10 +241,9 @@ def _fitting_order(
     The angles of a robot's joints are within its limits; the strides of a quadruped's outer legs
     are the longer ones in turns. Angles are (N,) in any unit, None of a joint without.
     """
-    machine = file.machine
-    if machine is not None and len(machine.limbs.joints) == len(angles):
-        joints = machine.limbs.joints
-        kinds = dict(zip(joints, machine.limbs.kind_of, strict=True))
+    joints = file.limbs.joints
+    if file.machine is not None and len(joints) == len(angles):
+        kinds = dict(zip(joints, file.limbs.kind_of, strict=True))
         by_kind = sorted(joints, key=lambda joint: [*kinds.values()].index(kinds[joint]))
         known = {k: x for k, x in enumerate(angles) if x is not None}
         scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
@@ -248,7 +252,7 @@ def _fitting_order(
             for order in (joints, by_kind)
         ]
         if fits[0] >= fits[1]:
-            return joints, f"are its joints in the order of {machine.name}?"
+            return joints, f"are its joints in the order of {file.machine.name}?"
         return by_kind, f"are its joints in the order {', '.join(by_kind)}?"
     if len(angles) == len(JOINTS):
         known = {joint: x for joint, x in zip(JOINTS, angles, strict=True) if x is not None}
@@ -261,9 +265,9 @@ def _fitting_order(
 def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     """Share of the angles (N,) [rad] within the limits of the robot's joint; 1 without limits."""
     robot = file.machine.legged if file.machine is not None else None
-    if robot is None or joint not in robot.limbs.joints:
+    if robot is None or joint not in file.limbs.joints:
         return 1.0
-    low, high = robot.joint_range[robot.limbs.joints.index(joint)]
+    low, high = robot.joint_range[file.limbs.joints.index(joint)]
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
@@ -282,59 +286,52 @@ def _longer_inside(file: RecordedFile, angles: Columns) -> bool:
 
 
 def _joint_entries(file: RecordedFile, joints: _Joints) -> tuple[list[Entry], float | None]:
-    """Entries of the joints, and the rate of the rows [Hz] where joint rates determine it."""
-    slides = file.machine.limbs.slides if file.machine is not None else ()
+    """Entries of the joints, those that turn and those that slide, and the rate of the rows [Hz]
+    where joint rates determine it.
+    """
     entries: list[Entry] = []
     rate = None
-    for slide in (False, True):
+    for slide, unit_of, rates_in, force in (
+        (False, unit_of_angles, UNITS["dq"], "N m"),
+        (True, unit_of_travels, UNITS["ref_v"], "N"),
+    ):
         alike = {
-            kind: {joint: one for joint, one in of_kind.items() if (joint in slides) is slide}
+            kind: [one for joint, one in of_kind.items() if (joint in file.limbs.slides) is slide]
             for kind, of_kind in joints.items()
         }
-        found, rows = _entries_alike(file, {k: one for k, one in alike.items() if one}, slide)
-        entries, rate = entries + found, rate or rows
-    return entries, rate
-
-
-def _entries_alike(
-    file: RecordedFile, joints: _Joints, slide: bool
-) -> tuple[list[Entry], float | None]:
-    """The same of joints that all turn, or all `slide`."""
-    entries: list[Entry] = []
-    rate, unit_of, rates_in, force = None, unit_of_angles, UNITS["dq"], "N m"
-    if slide:
-        unit_of, rates_in, force = unit_of_travels, UNITS["ref_v"], "N"
-    values = {
-        kind: {joint: file.columns[one.theirs] for joint, one in of_kind.items()}
-        for kind, of_kind in joints.items()
-    }
-    swapped = _SWAPPED if _longer_inside(file, values.get("q", {})) else ""
-    for kind, of_joint in joints.items():
-        prefix, readings = kind, values[kind]
-        names = [file.names[one.theirs] for one in of_joint.values()]
-        if kind.startswith("q"):
-            unit, doubt = unit_of(readings.values(), {one.unit for one in names})
-        elif kind.startswith("dq"):
-            angles = values.get("q" if kind == "dq" else "q_des", {})
-            both = [joint for joint in readings if joint in angles]
-            rates = [readings[joint] for joint in both or readings]
-            scale = UNITS["q"][unit_of(angles.values(), set())[0]]
-            angles = [scale * angles[joint] for joint in both]
-            unit, doubt, rows = unit_of_rates(file.seconds, rates, angles, rates_in)
-            rate = rows or rate
-        else:
-            unit = force
-            most = usual_size(readings.values())
-            doubt = f"are these {unit}, or current?" if most > 300.0 else ""
-            if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
-                prefix, unit = f"x_{kind}", None
-                doubt = "never negative: magnitudes, of which unit?"
-        if kind in ("q", "dq"):
-            doubt = doubt or _source_doubt(names[0].source)
-        entries += [
-            Entry(f"{prefix}_{joint}", one.theirs, unit, doubt=one.doubt or doubt or swapped)
-            for joint, one in of_joint.items()
-        ]
+        values = {k: {one.name: file.columns[one.theirs] for one in of} for k, of in alike.items()}
+        swapped = _SWAPPED if _longer_inside(file, values.get("q", {})) else ""
+        for kind, of_kind in ((k, of) for k, of in alike.items() if of):
+            prefix, readings = kind, values[kind]
+            names = [file.names[one.theirs] for one in of_kind]
+            if kind.startswith("q"):
+                unit, doubt = unit_of(readings.values(), {one.unit for one in names})
+            elif kind.startswith("dq"):
+                angles = values.get("q" if kind == "dq" else "q_des", {})
+                both = [joint for joint in readings if joint in angles]
+                rates = [readings[joint] for joint in both or readings]
+                scale = UNITS["q"][unit_of(angles.values(), set())[0]]
+                angles = [scale * angles[joint] for joint in both]
+                unit, doubt, rows = unit_of_rates(file.seconds, rates, angles, rates_in)
+                rate = rate or rows
+            else:
+                unit = force
+                most = usual_size(readings.values())
+                doubt = f"are these {unit}, or current?" if most > 300.0 else ""
+                if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
+                    prefix, unit = f"x_{kind}", None
+                    doubt = "never negative: magnitudes, of which unit?"
+            if kind in ("q", "dq"):
+                doubt = doubt or _source_doubt(names[0].source)
+            entries += [
+                replace(
+                    one,
+                    name=f"{prefix}_{one.name}",
+                    unit=unit,
+                    doubt=one.doubt or doubt or swapped,
+                )
+                for one in of_kind
+            ]
     return entries, rate
 
 
@@ -397,7 +394,6 @@ def _missing_feet(
     """Questions where only some of the feet have a column of a kind: there is no other for a leg of
     the robot, or there are columns with one more word, which may be a leg's.
     """
-    known = file.machine.limbs.legs if file.machine is not None else ()
     asked = []
     for kind in ("contact", "force", "foot"):
         used = {e.theirs for e in entries.values() if found[e.theirs].kind == kind}
@@ -408,7 +404,7 @@ def _missing_feet(
             for name, one in found.items()
             if one.kind == kind and not one.leg and _with_a_word_less(one) & stems
         ]
-        if used and (alike or there < {*known}):
+        if used and (alike or there < {*file.limbs.legs}):
             others = f", as {', '.join(alike)}" if alike else ""
             asked.append(
                 f"{kind} of {', '.join(sorted(there))} alone: which are the others{others}?"

@@ -92,9 +92,6 @@ def guess_map(
     notes += asked + dropped
     at = poses[0] if poses else main
     reference = _reference(at)
-    if reference and main.seconds is not None and at.seconds is not None:
-        apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
-        notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
     stated = None if main.t else main.stated or ((rate, "rates of joints") if rate else None)
     notes += _missing(main, entries, rated=stated is not None)
     # Columns of other files are named as in a map.
@@ -148,7 +145,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
     if not is_bag(one.path):
         return _pose(one)
     topics: dict[str, Columns] = {}
-    for name, values in one.recorded.items():
+    for name, values in one.columns.items():
         topics.setdefault(topic_of(name), {})[name] = values
 
     def order(topic: str) -> tuple[int, float]:
@@ -234,15 +231,15 @@ def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
-    legs = main.machine is not None and bool(main.machine.limbs.legs)
-    legs |= any(one.leg for name in there for one in [read_name(name)] if joint_prefix(name))
+    legs = bool(main.limbs.legs) or any(
+        one.leg for name in there for one in [read_name(name)] if joint_prefix(name)
+    )
     found = []
     if groups <= {"t"}:
         found.append("no name says what a column is: which of those not used below is what?")
-    if main.t is None and (counter := main.counter):
-        found.append(f"{counter.theirs} counts rows: which [source] rate, or t with which gain?")
-    elif main.t is None and not rated:
-        found.append("no times found: which column are they, or what is the [source] rate?")
+    if main.t is None and (main.counter or not rated):
+        counts = f"{main.counter.theirs} counts rows" if main.counter else "no times found"
+        found.append(f"{counts}: which [source] rate, or which column and gain of t?")
     times = np.zeros(0) if main.seconds is None else main.seconds
     step = np.median(np.diff(times)) if len(times) > 1 else 0.0
     if step > 1.0 / SLOWEST:

@@ -16,16 +16,17 @@ from surefoot.sim.importing.guessing.names import (
     Named,
     by_their_legs,
     by_their_lists,
+    name_in_file,
     read_name,
     words_of,
 )
-from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.importing.readers.text import is_number
 from surefoot.sim.importing.sections import Source
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
 _RATES = (0.5, 5000.0)
@@ -51,7 +52,6 @@ class RecordedFile:
         path: of the file.
         label: a name for it.
         columns: by name, each (N,) on one clock, those of a bag interpolated to it.
-        recorded: the same as in the file.
         names: interpretation of each column's name.
         t: the column of times, or None.
         seconds: its times (N,) [s].
@@ -66,7 +66,6 @@ class RecordedFile:
     path: Path
     label: str
     columns: dict[str, np.ndarray]
-    recorded: dict[str, np.ndarray]
     names: dict[str, Named]
     t: Entry | None
     seconds: np.ndarray | None
@@ -76,6 +75,11 @@ class RecordedFile:
     stated: tuple[float, str] | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
     yaw: np.ndarray | None = None
+
+    @property
+    def limbs(self) -> Limbs:
+        """Names of the robot's legs and joints; none without a robot."""
+        return Limbs((), (), ()) if self.machine is None else self.machine.limbs
 
     @property
     def counter(self) -> Entry | None:
@@ -164,13 +168,12 @@ def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> li
         return []
     readings = {name: np.isfinite(x) for name, x in every.items()}
     stamps = {name: table.stamps[table.topic(name)][k] for name, k in readings.items()}
-    recorded = {name: every[name][k] for name, k in readings.items()}
     names = _names(every, machine)
     first = _leading(readings, names)
     at = stamps[first]
-    columns = {name: np.interp(at, stamps[name], x) for name, x in recorded.items()}
-    t = times_of_topic(table.topic(first), recorded, names)
-    return [RecordedFile(table.path, _plain(table.path.stem), columns, recorded, names, t, at)]
+    columns = {name: np.interp(at, stamps[name], every[name][k]) for name, k in readings.items()}
+    t = times_of_topic(table.topic(first), columns, names)
+    return [RecordedFile(table.path, _plain(table.path.stem), columns, names, t, at)]
 
 
 def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[RecordedFile]:
@@ -180,7 +183,7 @@ def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[Rec
         names = _names(part, machine)
         part, t = _at_rising_times(part, column_of_times(part, names))
         seconds = t.scale * part[t.theirs] if t else None
-        found.append(RecordedFile(path, _label(path, part, long), part, part, names, t, seconds))
+        found.append(RecordedFile(path, _label(path, part, long), part, names, t, seconds))
     return found
 
 

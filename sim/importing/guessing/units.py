@@ -148,15 +148,9 @@ def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
 def _gravity_doubt(mean: np.ndarray) -> str:
     """A doubt about the axes where the mean specific force (3,) does not point up."""
     axis = int(np.argmax(np.abs(mean)))
-    if axis == 2 and mean[2] > 0.0:
-        return ""
-    where = f"gravity reads {'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
-    remedy = (
-        "an IMU upside down ([robot] imu_orientation), the sign, or gravity itself (offset = 19.62)"
-        if axis == 2
-        else "give [robot] imu_orientation, or other axes"
-    )
-    return f"{where}: {remedy}?"
+    along = f"{'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
+    asked = "by [robot] imu_orientation, other axes, the sign, or gravity itself (offset = 19.62)?"
+    return "" if along == "+ on z" else f"gravity reads {along}, not + on z: {asked}"
 
 
 def stride_in_turns(
