@@ -51,12 +51,6 @@ MOST_ROTATION_MISSED = 0.15
 """Largest share of the gyro's rotation that the tracked body may lack. A gyro read at 100 Hz misses
 less than a tenth of a walk's rotation; a loose body, or another one, lacks more.
 """
-_COMMENTS = {
-    "offset": " # s",
-    "p_IM": " # m, of the tracked body in the IMU frame",
-    "q_IM": " # w, x, y, z",
-    "q_GW": " # of its world",
-}
 _LEVEL = np.eye(3)
 _OFF_AXIS = 0.25
 """Largest error of the mean specific force along an axis of the reference's world, in gravities."""
@@ -118,8 +112,7 @@ class Alignment(Placement):
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
             f"(+-{_numbers(np.degrees(self.R_IM_half_width), 1)})",
-            f"turning: the tracked body misses {100 * self.turn_missed:.1f} % of the gyro's; "
-            f"gyro bias ({_numbers(1e3 * self.bias_gyro, 1)}) mrad/s",
+            f"turning: the tracked body misses {100 * self.turn_missed:.1f} % of the gyro's",
             *(f"doubtful: {fault}" for fault in self.faults),
         )
 
@@ -136,8 +129,7 @@ class Alignment(Placement):
             if isinstance(reference.offset, dict):
                 values["offset"] = reference.offset | {name: values["offset"]}
             values = msgspec.to_builtins(own) | values
-        lines = (f"{map_line(key, x)}{_COMMENTS.get(key, '')}" for key, x in values.items())
-        return ("[reference]", *lines)
+        return ("[reference]", *(map_line(key, x) for key, x in values.items()))
 
     @property
     def map_values(self) -> dict[str, Any]:

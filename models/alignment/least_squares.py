@@ -107,8 +107,6 @@ class PlacementFit:
         t: times of the samples on the IMU's clock (K,) [s].
         rates: residual of the angular rate, in I (K, 3) [rad/s].
         accelerations: residual of the acceleration, in I (K, 3) [m/s^2].
-        lever: change of these accelerations per metre of p_IM if the tracked point were taken to be
-            the IMU (K, 3, 3).
     """
 
     placement: Placement
@@ -117,7 +115,6 @@ class PlacementFit:
     t: np.ndarray
     rates: np.ndarray
     accelerations: np.ndarray
-    lever: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -232,8 +229,7 @@ def fit_placement(
     first = np.arange(count) < count / 2
     halves = np.array([solved(of_blocks[half].sum(axis=0)) for half in (first, ~first)])
     width = stdtrit(max(count - 1, 1), 0.975) * spread
-    lever = -columns[:, 3:, 10:13]
-    return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
+    return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:])
 
 
 def most_likely(fits: Sequence[PlacementFit]) -> list[int]:

@@ -185,11 +185,7 @@ def _streams(
             )
     # If columns have different rows, the log's are those of the most frequent one.
     first = max((x for x in read if x.topic == leading), key=lambda x: len(x.numbers), default=None)
-    if first is None:
-        return found, np.zeros(0)
-    if source.scattered and found:
-        notes.append(f"rows: at the readings of {next(n for n in first.columns if n != 't')}")
-    return found, first.columns["t"]
+    return found, np.zeros(0) if first is None else first.columns["t"]
 
 
 def _reference(path: Path | None, main: Path, rules: ImportMap, notes: list[str]) -> Poses:

@@ -137,7 +137,7 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     if (jumped := np.flatnonzero(jumps(poses))).size:
         when = ", ".join(f"{t:.2f}" for t in poses.t[jumped[:_LISTED]])
         more = ", ..." * (len(jumped) > _LISTED)
-        said.append(f"{len(jumped)} jumps of position or attitude, after {when}{more} s")
+        said.append(f"{len(jumped)} jumps of position or attitude, at {when}{more} s")
     same = ~np.diff(pose, axis=0).any(axis=1)
     if held := np.sum(same & (_speeds(poses)[1] > _SLOWEST)):
         said.append(f"{held} samples repeat the one before while the body moves")

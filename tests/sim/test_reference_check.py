@@ -139,7 +139,7 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     seen.p[800], seen.q[800] = seen.p[799], seen.q[799]
     found = check_reference(seen.rows(np.abs(T - 9.0) > 0.04))
     assert "longest gap 90 ms, 1 over 50 ms" in found.samples
-    assert "3 jumps of position or attitude, after 2.99, 5.99, 6.03 s" in "".join(found.faults)
+    assert "3 jumps of position or attitude, at 2.99, 5.99, 6.03 s" in "".join(found.faults)
     assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(seen)), [299, 599, 603])
     np.testing.assert_array_equal(np.setdiff1d(T, without_jumps(seen).t), T[600:604])
@@ -173,14 +173,14 @@ def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_remo
 @pytest.mark.parametrize("first", [1, 2, 5, 990, 998])
 def test_a_jump_near_an_end_is_told_too(first):
     (said,) = check_reference(aside(0.1 * (np.arange(1000) >= first))).faults
-    assert f"1 jumps of position or attitude, after {T[first - 1]:.2f} s" in said
+    assert f"1 jumps of position or attitude, at {T[first - 1]:.2f} s" in said
 
 
 def test_a_jump_of_a_body_that_speeds_up_is_told_too():
     """The usual speed is that of as many steps before as after, even where there are no more."""
     t = 0.01 * np.arange(40)
     (said,) = check_reference(straight(t, 10.0 * t**2 + 0.1 * (np.arange(40) > 4))).faults
-    assert "1 jumps of position or attitude, after 0.04 s" in said
+    assert "1 jumps of position or attitude, at 0.04 s" in said
 
 
 def test_a_blow_is_no_jump_at_any_rate():

@@ -29,10 +29,8 @@ from surefoot.sim.importing.sections import Source
 from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
-_RATES = (0.5, 5000.0)
-"""Range of plausible rates of a log [Hz]."""
-_USUAL_RATES = (8.0, 2500.0)
-"""Range of usual rates of a log [Hz]."""
+_RATES = (4.0, 4000.0)
+"""Range of plausible rates of a log [Hz], in which those by one unit of its times are."""
 _LARGEST_COUNT = 1e9
 """First count of a row below which it is no time since an epoch [ms]."""
 _STEPS = ("dt", "ts", "step", "timestep", "period")
@@ -127,7 +125,7 @@ def _stated_rate(columns: Columns) -> tuple[float, str] | None:
         last, value = (words_of(name) or [""])[-1], float(values[0])
         if np.ptp(values) == 0.0 and value > 0.0 and last in (*_STEPS, *_RATE_WORDS):
             found.append((value if last in _RATE_WORDS else 1.0 / value, name))
-    return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
+    return min((one for one in found if _RATES[0] < one[0] < _RATES[1]), default=None)
 
 
 def _between_readings(every: Columns, machine: Machine | None) -> Columns:
@@ -224,12 +222,10 @@ def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | Non
             continue
         steps = np.diff(columns[name])
         step = float(np.median(steps[steps > 0.0]))
-        for low, high in (_USUAL_RATES, _RATES):
-            fits = [u for u, s in UNITS["t"].items() if low < 1.0 / (step * s) < high]
-            if fits:
-                sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
-                doubt = "" if sure else f"is this the time, in {fits[0]}?"
-                return Entry("t", name, fits[0], doubt=doubt)
+        for unit, size in UNITS["t"].items():
+            if _RATES[0] <= 1.0 / (step * size) < _RATES[1]:
+                doubt = "" if name in named else f"is this the time, in {unit}?"
+                return Entry("t", name, unit, doubt=doubt)
     return None
 
 
