@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
-from recorded import POSE, SENSORS, as_named
+from recorded import POSE, SENSORS, as_named, pasted
 from refusals import refused
 from scipy.spatial.transform import Rotation
 from written import written
@@ -51,15 +51,8 @@ def by_both_ways(file, map, folder):
     """The log that `align` writes, and the one that is imported with the lines it prints."""
     _, said = align_file(AlignSettings(file=file, map=str(map), out=folder / "aligned"))
     lines = said[said.index("[reference]") :]
-    kept, within = [], False
-    for line in map_file(map).read_text().splitlines():
-        within = line == "[reference]" if line.startswith("[") else within
-        if line == "[reference]":
-            kept += lines
-        elif not within:
-            kept.append(line)
     # The map stays where its files and its robot are looked for.
-    written(folder / "pasted.toml", "\n".join(kept))
+    written(folder / "pasted.toml", pasted(map_file(map).read_text(), lines))
     return Log.read(folder / "aligned/aligned.parquet"), import_log(file, folder / "pasted.toml")
 
 

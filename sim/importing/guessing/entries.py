@@ -41,14 +41,15 @@ _SWAPPED = "in left turns the strides on this robot's left are longer: are left 
 
 
 def guess_columns(
-    file: RecordedFile, commands: bool = False
-) -> tuple[list[Entry], list[str], float | None]:
-    """Entries for times, IMU, joints and feet of a file, questions that concern no single column
-    and, for a file without times, the rate of its rows [Hz] by the joints' rates.
+    file: RecordedFile, notes: list[str], commands: bool = False
+) -> tuple[list[Entry], float | None]:
+    """Entries for times, IMU, joints and feet of a file and, for a file without times, the rate of
+    its rows [Hz] by the joints' rates.
 
-    commands: whether its joint columns are targets and not readings.
+    Questions that concern no single column are added to the notes. `commands` says whether its
+    joint columns are targets and not readings.
     """
-    imu, notes = _imu_entries(file)
+    imu = _imu_entries(file, notes)
     yaw = next((e.scale * file.columns[e.theirs] for e in imu if e.name == "gyro_z"), None)
     file = replace(file, yaw=yaw)
     columns = _joint_columns(file, commands)
@@ -58,9 +59,8 @@ def guess_columns(
     legs = file.limbs.legs or LEGS
     order = [*dict.fromkeys(joint.partition("_")[0] for joint in columns.get("q", {}))]
     legs = order if {*order} == {*legs} else legs
-    feet, feet_notes = _feet_entries(file, legs)
     times = [file.t] if file.t else []
-    return [*times, *imu, *joints, *feet], notes + feet_notes, rate
+    return [*times, *imu, *joints, *_feet_entries(file, legs, notes)], rate
 
 
 def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
@@ -68,9 +68,8 @@ def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
     return {name: named for name, named in file.names.items() if named.kind in kinds}
 
 
-def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
-    """Entries of gyro and accelerometer, and notes."""
-    notes: list[str] = []
+def _imu_entries(file: RecordedFile, notes: list[str]) -> list[Entry]:
+    """Entries of gyro and accelerometer."""
     entries: list[Entry] = []
     accel = None
     # The accelerometer first, as the gyro's unit follows from it.
@@ -94,7 +93,7 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
         asked = f"this, or {others[0]}?" if others else _source_doubt(source) or doubt
         axes = zip("xyz", found[0], strict=True)
         entries = [*(Entry(f"{kind}_{a}", n, unit, gain, asked) for a, n in axes), *entries]
-    return entries, notes
+    return entries
 
 
 def vectors(given: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str, ...]]:
@@ -348,9 +347,9 @@ def _beyond_limits(file: RecordedFile, entries: Sequence[Entry]) -> list[str]:
     return [question] * bool(beyond)
 
 
-def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry], list[str]]:
-    """Entries of contacts, forces and positions of the feet, and notes; `legs` is the order of the
-    legs for feet without names.
+def _feet_entries(file: RecordedFile, legs: Sequence[str], notes: list[str]) -> list[Entry]:
+    """Entries of contacts, forces and positions of the feet; `legs` is the order of the legs for
+    feet without names.
     """
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
     counted = _counted_legs(found, legs)
@@ -383,9 +382,9 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
         column = f"foot_{one.leg}_{one.axis}"
         doubt = in_order if name in counted else ""
         entries.setdefault(column, Entry(column, name, "m" if most < 3.0 else "mm", doubt=doubt))
-    notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
+    notes += ["are foot_<leg> along the IMU's axes, from its origin?"] * bool(feet)
     notes += _missing_feet(file, found, entries)
-    return list(entries.values()), notes
+    return list(entries.values())
 
 
 def _missing_feet(

@@ -74,12 +74,12 @@ def guess_map(
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]
-    entries, asked, rate = guess_columns(main)
     notes: list[str] = []
+    entries, rate = guess_columns(main, notes)
     sources: dict[str, tuple[Path, Entry]] = {}
     for one in (one for one in others if one not in poses):
         label, there = one.label, {"t", *(entry.name for entry in entries)}
-        added, _, _ = guess_columns(one, commands=read_name(label).commanded)
+        added, _ = guess_columns(one, [], commands=read_name(label).commanded)
         added = [replace(e, theirs=f"{label}:{e.theirs}") for e in added if e.name not in there]
         if added and (clock := one.t or one.counter):
             sources[label] = (one.path, clock)
@@ -88,8 +88,7 @@ def guess_map(
             columns = ", ".join([*one.columns][:_FEW])
             what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
-    entries, dropped = _complete(entries)
-    notes += asked + dropped
+    entries = _complete(entries, notes)
     at = poses[0] if poses else main
     reference = _reference(at)
     stated = None if main.t else main.stated or ((rate, "rates of joints") if rate else None)
@@ -213,16 +212,18 @@ def _attitude(one: RecordedFile, turned: Mapping[str, Named]) -> list[Entry]:
     return [Entry(a, n, unit, doubt=doubt) for a, n in zip(axes, columns, strict=True)]
 
 
-def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
-    """Drop the kinds of joint columns that not every joint has, as a log may not have them."""
+def _complete(entries: Sequence[Entry], notes: list[str]) -> list[Entry]:
+    """The entries but for kinds of joint columns that not every joint has, as a log may not have
+    them; these are noted.
+    """
     joints = {e.name[2:] for e in entries if joint_prefix(e.name) == "q_"}
-    kept, said = list(entries), []
+    kept = list(entries)
     for prefix in ("dq_des_", "q_des_", "tau_ff_", "dq_", "tau_"):
         of_kind = {e.name for e in kept if joint_prefix(e.name) == prefix}
         if of_kind and {n.removeprefix(prefix) for n in of_kind} != joints:
             kept = [e for e in kept if e.name not in of_kind]
-            said.append(f"{', '.join(sorted(of_kind)[:3])}: not of every joint, left out")
-    return kept, said
+            notes.append(f"{', '.join(sorted(of_kind)[:3])}: not of every joint, left out")
+    return kept
 
 
 def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[str]:
