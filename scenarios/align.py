@@ -110,9 +110,7 @@ def _read(file: Path, recording: RawRecording | None) -> tuple[Log, Poses, float
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:
     """Start of the _SHOWN seconds, within the shared times, in which the IMU rotates most."""
-    latest = max(shared[-1] - _SHOWN, shared[0] + 0.1)
-    starts = shared[0] + 0.5 * np.unique(np.floor((shared - shared[0]) / 0.5))
-    starts = starts[starts < latest]
+    starts = shared[shared < max(shared[-1] - _SHOWN, shared[0] + 0.1)]
     turned = np.cumsum(np.sum(gyro**2, axis=1))
     within = np.interp(starts + _SHOWN, t, turned) - np.interp(starts, t, turned)
     return float(starts[np.argmax(within)])

@@ -378,15 +378,6 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, log):
         np.testing.assert_allclose(getattr(back, stream), getattr(log, stream)[rows], atol=close)
 
 
-def test_a_file_with_poses_under_the_names_of_a_log_is_the_reference(tmp_path, log):
-    poses = log.frame.filter(regex="^(t|ref_[pq]_.)$")
-    poses.iloc[::5].to_csv(tmp_path / "mocap.csv", index=False)
-    log.frame.drop(columns=poses.columns[1:]).to_csv(tmp_path / "robot.csv", index=False)
-    draft = guess_map([tmp_path / "robot.csv", tmp_path / "mocap.csv"])
-    assert {e.name for e in draft.reference} == set(poses)
-    assert 'file = "mocap.csv"' in draft.text
-
-
 def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, log):
     """An HDF5 with nanoseconds since 1970 in each group: IMU at 250 Hz, the rest slower."""
     groups = {
