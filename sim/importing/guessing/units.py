@@ -150,7 +150,7 @@ def _gravity_doubt(mean: np.ndarray) -> str:
     """A doubt about the axes where the mean specific force (3,) does not point up."""
     axis = int(np.argmax(np.abs(mean)))
     along = f"{'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
-    asked = "mend [robot] imu_orientation, axes, a sign, or gravity itself (offset = 19.62)?"
+    asked = "change [robot] imu_orientation, axes or signs, or add gravity (offset = 19.62)?"
     return "" if along == "+ on z" else f"gravity reads {along}, not + on z: {asked}"
 
 
