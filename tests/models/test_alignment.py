@@ -159,7 +159,8 @@ TOO_LITTLE = {
     "two seconds": lambda log: (log.rows(slice(1000)), None),
     "a pose a second": lambda log: (log, reference_poses(log).rows(slice(None, None, 500))),
     "a gyro that never turns": lambda log: (
-        with_columns(log, {name: 0.0 * log.t for name in GYRO}),
+        with_columns(log, dict(zip(GYRO, 0.0 * log.gyro.T, strict=True))),
+        None,
     ),
 }
 
