@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from surefoot.models.alignment.alignment import Alignment, align, aligned_log, noted_as_aligned
 from surefoot.models.alignment.rotation_guess import LEAST_OVERLAP, rates_of, smoothed
-from surefoot.scenarios.reporting.palette import AFTER, OUTSIDE, TRUTH
+from surefoot.scenarios.reporting.palette import AFTER, TRUTH
 from surefoot.scenarios.reporting.plotting import legend_below, new_figure, save_figure, set_title
 from surefoot.scenarios.settings import AlignSettings
 from surefoot.sim.common.errors import SurefootError
@@ -69,18 +69,15 @@ def _map_lines(found: Alignment, recording: RawRecording | None) -> tuple[str, .
 
 
 def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
-    """Plot the gyro and the rotation of the tracked body, before and after, and what the lever arm
-    explains of the accelerometer.
-    """
+    """Plot the gyro and the rotation of the tracked body, before and after."""
     t, gyro = log.t, log.gyro
-    fitted = found.fitted
-    begin = _busiest(fitted.t, gyro, t)
+    begin = _busiest(found.fitted.t, gyro, t)
     at = np.arange(begin, begin + _SHOWN, 0.01)
     seen = smoothed(at, t, gyro)
     middle, rates = rates_of(poses)
     before = smoothed(at, middle, rates)
     after = smoothed(at, middle + found.offset, rates @ found.R_IM.T) + found.bias_gyro
-    drawn, axes = new_figure(4, 2, size=(9.0, 8.0))
+    drawn, axes = new_figure(3, 2, size=(9.0, 6.0))
     recorded = "As recorded" + ": reference at other times" * bool(np.isnan(before).all())
     for column, (other, title) in enumerate(((before, recorded), (after, "Aligned"))):
         set_title(axes[0, column], title)
@@ -89,18 +86,7 @@ def figure(log: Log, poses: Poses, found: Alignment) -> Figure:
             ax.plot(at, seen[:, row], color=TRUTH, linewidth=2.5, label="gyro")
             ax.plot(at, other[:, row], color=AFTER, linewidth=1.2, label="reference")
             ax.set_ylabel(f"{axis} [rad/s]")
-    lever = fitted.lever @ found.p_IM
-    shown = (fitted.t >= begin) & (fitted.t <= at[-1])
-    cases = (
-        (fitted.accelerations + lever, OUTSIDE, "Tracked point taken for the IMU"),
-        (fitted.accelerations, AFTER, "Tracked point at its place"),
-    )
-    for column, (rest, color, title) in enumerate(cases):
-        ax = axes[3, column]
-        set_title(ax, title, 9.0)
-        ax.plot(fitted.t[shown], np.linalg.norm(rest[shown], axis=1), color=color, linewidth=1.0)
-        ax.set(xlabel="time [s]", ylabel="unexplained [m/s²]")
-        ax.set_ylim(0.0, 1.05 * np.linalg.norm(fitted.accelerations + lever, axis=1)[shown].max())
+        axes[2, column].set_xlabel("time [s]")
     legend_below(drawn, axes[0, 1])
     return drawn
 
@@ -124,9 +110,7 @@ def _read(file: Path, recording: RawRecording | None) -> tuple[Log, Poses, float
 
 def _busiest(shared: np.ndarray, gyro: np.ndarray, t: np.ndarray) -> float:
     """Start of the _SHOWN seconds, within the shared times, in which the IMU rotates most."""
-    latest = max(shared[-1] - _SHOWN, shared[0] + 0.1)
-    starts = shared[0] + 0.5 * np.unique(np.floor((shared - shared[0]) / 0.5))
-    starts = starts[starts < latest]
+    starts = shared[shared < max(shared[-1] - _SHOWN, shared[0] + 0.1)]
     turned = np.cumsum(np.sum(gyro**2, axis=1))
     within = np.interp(starts + _SHOWN, t, turned) - np.interp(starts, t, turned)
     return float(starts[np.argmax(within)])

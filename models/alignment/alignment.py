@@ -51,12 +51,6 @@ MOST_ROTATION_MISSED = 0.15
 """Largest share of the gyro's rotation that the tracked body may lack. A gyro read at 100 Hz misses
 less than a tenth of a walk's rotation; a loose body, or another one, lacks more.
 """
-_COMMENTS = {
-    "offset": " # s",
-    "p_IM": " # m, of the tracked body in the IMU frame",
-    "q_IM": " # w, x, y, z",
-    "q_GW": " # of its world",
-}
 _LEVEL = np.eye(3)
 _OFF_AXIS = 0.25
 """Largest error of the mean specific force along an axis of the reference's world, in gravities."""
@@ -84,8 +78,6 @@ class Alignment(Placement):
         turn_missed: share of the gyro's rotation that the tracked body does not have.
         accel_sign: factor of each axis that makes the accelerometer a specific force (3,).
         accel_offset: to add to it (3,) [m/s^2].
-        other_epoch: whether the clocks have no time in common, so that all offsets were searched.
-        samples: number of samples of the reference.
         fitted: residuals of the fit.
         faults: reasons to doubt the result, in words.
     """
@@ -99,8 +91,6 @@ class Alignment(Placement):
     turn_missed: float
     accel_sign: np.ndarray
     accel_offset: np.ndarray
-    other_epoch: bool
-    samples: int
     fitted: PlacementFit
     faults: tuple[str, ...]
 
@@ -117,15 +107,12 @@ class Alignment(Placement):
         return (
             f"clock: add {_numbers(np.array([self.offset]), 4)} s to the reference's stamps "
             f"(+-{1e3 * self.offset_half_width:.2g} ms); the log's halves say "
-            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s"
-            + "; the clocks count from different epochs"
-            * self.other_epoch,
+            f"{_numbers(np.array([first]), 4)} and {_numbers(np.array([second]), 4)} s",
             f"place: the tracked point is at ({_numbers(1e3 * self.p_IM, 0)}) mm in the IMU frame "
             f"(+-{_numbers(1e3 * self.p_IM_half_width, 0)})",
             f"rotation: ({_numbers(angles, 1)}) deg from the tracked body's axes to the IMU's "
             f"(+-{_numbers(np.degrees(self.R_IM_half_width), 1)})",
-            f"turning: the tracked body misses {100 * self.turn_missed:.1f} % of the gyro's; "
-            f"gyro bias ({_numbers(1e3 * self.bias_gyro, 1)}) mrad/s",
+            f"turning: the tracked body misses {100 * self.turn_missed:.1f} % of the gyro's",
             *(f"doubtful: {fault}" for fault in self.faults),
         )
 
@@ -142,8 +129,7 @@ class Alignment(Placement):
             if isinstance(reference.offset, dict):
                 values["offset"] = reference.offset | {name: values["offset"]}
             values = msgspec.to_builtins(own) | values
-        lines = (f"{map_line(key, x)}{_COMMENTS.get(key, '')}" for key, x in values.items())
-        return ("[reference]", *lines)
+        return ("[reference]", *(map_line(key, x) for key, x in values.items()))
 
     @property
     def map_values(self) -> dict[str, Any]:
@@ -189,7 +175,7 @@ def align(
     t, gyro, accel = log.t, log.gyro, log.accel
     too_little = SurefootError(f"{log.name}: IMU and reference share too little to be aligned")
     apart = max(poses.t[0] + about - t[-1], t[0] - poses.t[-1] - about) + LEAST_OVERLAP
-    if other_epoch := bool(apart > (_OTHER_EPOCH if most is None else most)):
+    if apart > (_OTHER_EPOCH if most is None else most):
         about, most = 0.5 * float(t[0] + t[-1] - poses.t[0] - poses.t[-1]), None
     poses = replace(poses, t=poses.t + about)
     if most is None:
@@ -204,21 +190,22 @@ def align(
     if speed > FASTEST_LEGS:
         unit = "in mm, not m? Set the unit of ref_p in the map first"
         raise SurefootError(f"{log.name}: the reference moves at {speed:.3g} m/s: {unit}")
+    readings, turn, sign, shift = _in_our_convention(readings, starts[0])
     # Wrong strides converge slowly: those that leave clearly more after some steps are left out.
-    every: list[_Fitted] = []
+    every: list[tuple[PlacementFit, Placement]] = []
     for steps in (FIRST_STEPS, MOST_STEPS) if len(starts) > 1 else (MOST_STEPS,):
-        every = [one for start in starts if (one := _fitted(readings, start, seed, steps))]
+        fits = [fit_placement(readings, x, np.random.default_rng(seed), steps) for x in starts]
+        every = [(one, x) for one, x in zip(fits, starts, strict=True) if one]
+        every = [(one, x) for one, x in every if len(one.t) >= _FEWEST_SAMPLES]
         if not every:
             raise too_little
-        best, as_good = most_likely([one.fit for one in every])
-        every = [every[k] for k in (best, *as_good)]
-        starts = [one.start for one in every]
-    chosen, *rivals = every
-    fitted, readings, turn = chosen.fit, chosen.readings, chosen.turn
+        every = [every[k] for k in most_likely([one for one, _ in every])]
+        starts = [x for _, x in every]
+    fitted, *rivals = (one for one, _ in every)
     R_GW = R_GW if turn is None else turn @ R_GW
     turned = ("the reference's world has another axis up than z: see q_GW",) * (turn is not None)
     found, width = fitted.placement, fitted.half_width
-    alike = (one.fit.placement.offset for one in rivals)
+    alike = (one.placement.offset for one in rivals)
     others = np.array(sorted(x for x in alike if abs(x - found.offset) > _SAME_OFFSET))
     halves = about + found.offset + fitted.halves[:, 0]
     missed = _turn_missed(fitted, readings)
@@ -231,12 +218,10 @@ def align(
         p_IM_half_width=width[10:13],
         R_IM_half_width=width[1:4],
         turn_missed=missed,
-        accel_sign=chosen.sign,
-        accel_offset=chosen.shift,
-        other_epoch=other_epoch,
-        samples=len(fitted.t),
+        accel_sign=sign,
+        accel_offset=shift,
         fitted=fitted,
-        faults=(*turned, *_faults(missed, about + others, halves, chosen.sign, chosen.shift)),
+        faults=(*turned, *_faults(missed, about + others, halves, sign, shift)),
     )
 
 
@@ -267,35 +252,21 @@ def noted_as_aligned(log: Log, alignment: Alignment) -> Log:
     return replace(log, meta=replace(log.meta, derived=derived, model=model))
 
 
-@dataclass(frozen=True)
-class _Fitted:
-    """A fit, the guess that it started from, the readings that it was made with, the turn of
-    the reference's world (None for none), and the sign and shift of the accelerometer.
+def _in_our_convention(
+    readings: Readings, start: Placement
+) -> tuple[Readings, np.ndarray | None, np.ndarray, np.ndarray]:
+    """The readings in a world with z up, by an accelerometer of specific force; the turn (3, 3) of
+    the reference's world, None for none; sign (3,) and shift (3,) of the accelerometer.
     """
-
-    fit: PlacementFit
-    start: Placement
-    readings: Readings
-    turn: np.ndarray | None
-    sign: np.ndarray
-    shift: np.ndarray
-
-
-def _fitted(readings: Readings, start: Placement, seed: int, steps: int) -> _Fitted | None:
-    """The fit from a guess; None where IMU and reference have too little in common."""
     felt, moved, lever = specific_forces(readings, start)
     if len(felt) < _FEWEST_SAMPLES:
-        return None
+        return readings, None, np.ones(3), np.zeros(3)
     turn = _level(readings, start, felt.mean(axis=0))
     if turn is not None:
         readings = replace(readings, poses=in_world(readings.poses, turn))
         felt, moved, lever = specific_forces(readings, start)
     sign, shift = _accelerometer(felt, moved, lever)
-    readings = replace(readings, accel=readings.accel * sign + shift)
-    fit = fit_placement(readings, start, np.random.default_rng(seed), steps)
-    if fit is None or len(fit.t) < _FEWEST_SAMPLES:
-        return None
-    return _Fitted(fit, start, readings, turn, sign, shift)
+    return replace(readings, accel=readings.accel * sign + shift), turn, sign, shift
 
 
 def _recorded(t: np.ndarray) -> float:

@@ -107,8 +107,6 @@ class PlacementFit:
         t: times of the samples on the IMU's clock (K,) [s].
         rates: residual of the angular rate, in I (K, 3) [rad/s].
         accelerations: residual of the acceleration, in I (K, 3) [m/s^2].
-        lever: change of these accelerations per metre of p_IM if the tracked point were taken to be
-            the IMU (K, 3, 3).
     """
 
     placement: Placement
@@ -117,7 +115,6 @@ class PlacementFit:
     t: np.ndarray
     rates: np.ndarray
     accelerations: np.ndarray
-    lever: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -232,12 +229,11 @@ def fit_placement(
     first = np.arange(count) < count / 2
     halves = np.array([solved(of_blocks[half].sum(axis=0)) for half in (first, ~first)])
     width = stdtrit(max(count - 1, 1), 0.975) * spread
-    lever = -columns[:, 3:, 10:13]
-    return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:], lever)
+    return PlacementFit(now, width, halves, t, rows[:, :3], rows[:, 3:])
 
 
-def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
-    """Number of the fit that leaves least, and of those that do not leave significantly more.
+def most_likely(fits: Sequence[PlacementFit]) -> list[int]:
+    """Number of the fit that leaves least, then of those that do not leave significantly more.
 
     Fits of different clock offsets are compared by what they leave of the same samples of the
     reference: by the mean log-likelihood in each block, for residuals with the tails of Student's
@@ -272,7 +268,7 @@ def most_likely(fits: Sequence[PlacementFit]) -> tuple[int, list[int]]:
     for k in range(1, len(fits)):
         worse = more(k, best)
         best = k if len(worse) and worse.mean() < 0.0 else best
-    return best, [k for k in range(len(fits)) if k != best and is_as_good(k)]
+    return [best, *(k for k in range(len(fits)) if k != best and is_as_good(k))]
 
 
 def _window(t: np.ndarray, least: float = _PATH_WINDOW) -> float:

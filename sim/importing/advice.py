@@ -91,6 +91,7 @@ def _values(rules: ImportMap) -> _Values:
     given["even"] = of.even or EvenTable()
     tables = {"columns": of.columns} | {name: vars(x) for name, x in given.items() if x}
     tables["reference.columns"] = of.reference.columns if of.reference else {}
+    tables["model"] = rules.model
     return {(section, key): x for section, table in tables.items() for key, x in table.items()}
 
 
@@ -141,9 +142,9 @@ def _body_by_imu(given: _Values, changes: Changes) -> _Values:
         return {}
     place = {key: given["reference", key] for key in ("frame", "p_IM", "q_IM")}
     if place["frame"] == "base":
-        q_BI = given["robot", "imu_orientation"] or (1.0, 0.0, 0.0, 0.0)
+        q_BI = given.get(("model", "q_BI"), (1.0, 0.0, 0.0, 0.0))
         R_IB = Rotation.from_quat(q_BI, scalar_first=True).inv()
-        p_IB = _rounded(-R_IB.apply(given["robot", "imu_position"]))
+        p_IB = _rounded(-R_IB.apply(given["model", "p_BI"]))
         place = {"frame": "imu", "p_IM": p_IB, "q_IM": quaternion(R_IB)}
     if "robot" in changes:
         turn = Rotation.from_quat(turned["q_IM"], scalar_first=True)

@@ -70,9 +70,7 @@ class RawRecording:
 
     def without_reference(self) -> "RawRecording":
         """The recording with all its rows, but without its reference."""
-        sections = replace(self.rules.sections, reference=None)
-        rules = replace(self.rules, sections=sections, reference_columns={})
-        return replace(self, poses=None, rules=rules)
+        return replace(self, poses=None)
 
     def with_reference(self, values: Mapping[str, Any]) -> "RawRecording":
         """The recording, with other values of its map's [reference]."""

@@ -241,12 +241,9 @@ def rises(t: np.ndarray) -> bool:
 
 def mostly_rises(t: np.ndarray) -> bool:
     """Whether t (N,) rises but for single times, and samples that are repeated."""
-    if rises(t):
-        return True
     changes = t[np.concatenate([[True], np.diff(t) != 0.0])]
-    if len(changes) < 3 or np.mean(np.diff(changes) > 0.0) < 1.0 - _MOST_LEFT_OUT:
-        return False
-    return len(_longest_rise(changes)) >= (1.0 - _MOST_LEFT_OUT) * len(changes)
+    least = (1.0 - _MOST_LEFT_OUT) * len(changes)
+    return rises(t) or (len(changes) > 2 and len(_longest_rise(changes)) >= least)
 
 
 def _goes_back(t: np.ndarray, kept: np.ndarray) -> bool:

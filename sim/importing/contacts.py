@@ -108,30 +108,24 @@ def _velocities_by_body(t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray) -> 
 
 
 def heights_beside_others(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Mean height (N, L) [m] of each foot's group of legs above the lowest other group.
-
-    A group is the legs that swing together; the value is negative for the lowest group. Raises
-    SurefootError where all legs swing together.
+    """Mean height (N, L) [m] of the legs that swing together with each, above that of the lowest
+    others; negative for the lowest. Raises SurefootError where all legs swing together.
 
     Args:
         t: (N,) [s].
         feet_I: (N, L, 3) [m].
         up: (N, 3) upward direction in I.
     """
-    groups = legs_in_phase(t, feet_I, up)
-    if len(groups) < 2:
+    together = legs_in_phase(t, feet_I, up)
+    if together.all(axis=1).any():
         raise SurefootError("[contact] of gait: all legs swing together, none stands meanwhile")
     height = np.einsum("nli,ni->nl", feet_I, up)
-    means = np.column_stack([height[:, group].mean(axis=1) for group in groups])
-    beside = np.empty_like(height)
-    for k, group in enumerate(groups):
-        others = np.delete(means, k, axis=1).min(axis=1)
-        beside[:, group] = (means[:, k] - others)[:, None]
-    return beside
+    means = height @ together / together.sum(axis=0)
+    return means - np.where(together, np.inf, means[:, None]).min(axis=2)
 
 
-def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[list[int]]:
-    """Groups of legs, by index, that swing together.
+def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Mask (L, L) of the legs that swing together with each.
 
     The velocities of their feet correlate by more than _IN_PHASE, along the axis of I in which the
     feet move most, without the upward component.
@@ -144,14 +138,7 @@ def legs_in_phase(t: np.ndarray, feet_I: np.ndarray, up: np.ndarray) -> list[lis
     v = derivative(t, feet_I, JOINT_WINDOW, causal=False)
     v = v - np.einsum("nli,ni->nl", v, up)[..., None] * up[:, None]
     along = v[:, :, int(np.argmax(np.var(v, axis=0).sum(axis=0)))]
-    alike = np.corrcoef(along.T) > _IN_PHASE
-    groups: list[list[int]] = []
-    for leg in range(feet_I.shape[1]):
-        together = next((g for g in groups if alike[leg, g].all()), [])
-        if not together:
-            groups.append(together)
-        together.append(leg)
-    return groups
+    return np.corrcoef(along.T) > _IN_PHASE
 
 
 def upward_forces(log: Log, robot: Robot, up: np.ndarray) -> np.ndarray:

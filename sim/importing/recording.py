@@ -1,6 +1,6 @@
 """Import a recording of any files as a Log, by an import map (`sim.importing.map`)."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -72,22 +72,19 @@ def read_recording(files: Files, map_path: str | Path, robot: str | None = None)
         name = source.file.replace(STEM, main.stem)
         return given.get(name, main.parent / name)
 
-    streams, clock, notes = _streams(main, rules.sections.source, rules, None)
+    notes, poses = list[str](), None
+    streams, clock = _streams(main, rules.sections.source, rules, None, notes)
     for name, source in rules.sections.sources.items():
         path = file_of(source)
         if path is None:
             raise SurefootError(f"{rules.path}: [sources.{name}] has no file, and none is given")
-        found, _, said = _streams(path, source, rules, name)
-        streams |= found
-        notes += said
-    epoch, poses = epoch_of(clock), None
+        streams |= _streams(path, source, rules, name, notes)[0]
+    epoch = epoch_of(clock)
     if epoch:
         notes.append(f"t: counts from {seconds(epoch)} s of the recording's clock")
     if rules.sections.reference is not None:
-        path = file_of(rules.sections.reference) or main
-        poses, said = _reference(path, rules, shared=path == main)
+        poses = _reference(file_of(rules.sections.reference), main, rules, notes)
         poses = replace(poses, t=poses.t - epoch)
-        notes += said
     if (extra := next(further, None)) is not None:
         raise SurefootError(f"{extra}: {rules.path} has no use for this file")
     clock = clock - epoch
@@ -101,6 +98,15 @@ def read_recording(files: Files, map_path: str | Path, robot: str | None = None)
     return RawRecording(kept, poses, rules, main, tuple(notes))
 
 
+def _main_file(path: Path, rules: ImportMap) -> Path:
+    inside = path / (rules.sections.source.file or "")
+    if is_file(inside) or is_bag(path) or not path.is_dir():
+        return inside if is_file(inside) else path
+    if inside == path:
+        raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
+    return inside
+
+
 def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> ImportMap:
     """The map with the name of its robot, or of the `given` one, and with the metadata of its file
     where that is a file.
@@ -111,14 +117,11 @@ def _with_robots_file(rules: ImportMap, main: Path, given: str | None) -> Import
         rules = replace(rules, robot=given)
     if rules.robot is None:
         return rules
-    for folder in (
-        (Path.cwd(),) if given is not None else (rules.path.parent, main.parent, Path.cwd())
-    ):
-        file = folder / rules.robot
+    folders = (Path.cwd(),) if given is not None else (rules.path.parent, main.parent, Path.cwd())
+    for file in (folder / rules.robot for folder in folders):
         if file.suffix in SUFFIXES and is_file(file):
-            rules = _with_imu_of(file, rules)
             model = rules.model | model_metadata(file.stem, file.resolve())
-            return replace(rules, robot=file.stem, model=model)
+            return _with_imu_of(file, replace(rules, robot=file.stem, model=model))
     with errors_in("--robot" if given is not None else f"{rules.path}: [robot] name"):
         return _with_imu_of(machine_file(rules.robot), rules)
 
@@ -127,33 +130,17 @@ def _with_imu_of(file: Path, rules: ImportMap) -> ImportMap:
     """The map with what it lacks of the IMU's place from the robot's file, where its reference is
     of the base.
     """
-    table, reference = rules.sections.robot, rules.sections.reference
-    if table is None or reference is None or reference.frame != "base":
-        return rules
-    if table.imu_position and table.imu_orientation:
+    reference = rules.sections.reference
+    if reference is None or reference.frame != "base" or {"p_BI", "q_BI"} <= rules.model.keys():
         return rules
     try:
-        robot = Robot.load(file, table.feet)
+        robot = Robot.load(file, rules.model.get("feet"))
     except SurefootError:  # said by the commands that need its legs
         return rules
     if robot.imu is None:
         return rules
-    table = replace(
-        table,
-        imu_position=table.imu_position or tuple(robot.p_BI.tolist()),
-        imu_orientation=table.imu_orientation or tuple(quaternion_from_matrix(robot.R_BI).tolist()),
-    )
-    sections = replace(rules.sections, robot=table)
-    return replace(rules, sections=sections, model=rules.model | table.model())
-
-
-def _main_file(path: Path, rules: ImportMap) -> Path:
-    inside = path / (rules.sections.source.file or "")
-    if is_file(inside) or is_bag(path) or not path.is_dir():
-        return inside if is_file(inside) else path
-    if inside == path:
-        raise SurefootError(f"{path}: is a folder, and {rules.path} has no [source] file")
-    return inside
+    place = {"p_BI": robot.p_BI.tolist(), "q_BI": quaternion_from_matrix(robot.R_BI).tolist()}
+    return replace(rules, model=place | rules.model)
 
 
 @dataclass(frozen=True)
@@ -164,20 +151,18 @@ class _Rows:
         topic: of a bag; "" of any other file.
         columns: of the log, in SI, and their times `t` [s], each (M,).
         numbers: of the rows in the file, (M,).
-        note: on rows that are left out; "" if none is.
     """
 
     topic: str
     columns: Columns
     numbers: np.ndarray
-    note: str
 
 
 def _streams(
-    path: Path, source: Source, rules: ImportMap, name: str | None
-) -> tuple[dict[str, Stamped], np.ndarray, list[str]]:
-    """Columns of a file by the log's names, in SI; times of its rows, if the log has them; and
-    notes.
+    path: Path, source: Source, rules: ImportMap, name: str | None, notes: list[str]
+) -> tuple[dict[str, Stamped], np.ndarray]:
+    """Columns of a file by the log's names, in SI; and times of its rows, if the log has them.
+    Adds to the notes.
     """
     columns = {n: c for n, c in rules.columns.items() if c.source == name and n != "t"}
     clock = rules.columns.get("t") if name is None else rules.clocks.get(name)
@@ -185,7 +170,7 @@ def _streams(
         clock = None
     elif clock is None and source.rate is None:
         raise SurefootError(f"{rules.path}: [sources.{name}] t or rate is missing")
-    table, read, notes = _read(path, source, columns, clock)
+    table, read = _read(path, source, columns, clock, notes)
     if table.stamps and source.rate is not None:
         raise SurefootError(f"{rules.path}: [source] rate does not go with a bag")
     leading = table.topic(clock.theirs) if clock else ""
@@ -200,48 +185,37 @@ def _streams(
             )
     # If columns have different rows, the log's are those of the most frequent one.
     first = max((x for x in read if x.topic == leading), key=lambda x: len(x.numbers), default=None)
-    if first is None:
-        return found, np.zeros(0), notes
-    if _is_scattered(source) and found:
-        notes.append(f"rows: at the readings of {next(n for n in first.columns if n != 't')}")
-    return found, first.columns["t"], notes
+    return found, np.zeros(0) if first is None else first.columns["t"]
 
 
-def _reference(path: Path, rules: ImportMap, shared: bool) -> tuple[Poses, list[str]]:
-    """Poses in the reference's own rows, and notes on those left out.
-
-    shared: whether it is in the main file.
-    """
+def _reference(path: Path | None, main: Path, rules: ImportMap, notes: list[str]) -> Poses:
+    """Poses in the reference's own rows, of its own or the main file. Adds to the notes."""
     columns, source = dict(rules.reference_columns), rules.sections.reference
     assert source is not None
-    if shared:
-        keys = ("separator", "header", "skip", "comment", "decimal", "sparse")
-        unsaid = [key for key in keys if getattr(source, key) == getattr(Source(), key)]
-        source = replace(source, **{key: getattr(rules.sections.source, key) for key in unsaid})
+    if path is None or path == main:
+        path, said, unsaid = main, vars(source), vars(Source())
+        main_layout = vars(rules.sections.source)
+        source = replace(source, **{k: main_layout[k] for k in unsaid if said[k] == unsaid[k]})
     clock = columns.pop("t", None)
-    table, read, notes = _read(path, source, columns, clock)
-    if len(topics := {one.topic for one in read}) > 1:
-        raise SurefootError(
-            f"{path}: [reference.columns] are of {' and '.join(sorted(topics))};"
-            " t, ref_p and ref_q are of one topic"
-        )
+    table, read = _read(path, source, columns, clock, notes)
     if len(read) > 1:
-        lengths = sorted({len(one.numbers) for one in read})
-        raise SurefootError(f"{path}: [reference.columns] have readings in other rows: {lengths}")
-    poses, lost = poses_of(read[0].columns, path, table.row, read[0].numbers)
-    return poses, notes + lost
-
-
-def _is_scattered(source: Source) -> bool:
-    """Whether the columns of a file have readings in rows of their own."""
-    return source.sparse or source.long is not None
+        topics = " and ".join(sorted({one.topic for one in read}))
+        raise SurefootError(
+            f"{path}: [reference.columns] are of {topics or 'other rows'};"
+            " t, ref_p and ref_q share their topic and rows"
+        )
+    return poses_of(read[0].columns, path, table.row, read[0].numbers, notes)
 
 
 def _read(
-    path: Path, source: Source, columns: Mapping[str, MapColumn], clock: MapColumn | None
-) -> tuple[RecordedTable, list[_Rows], list[str]]:
+    path: Path,
+    source: Source,
+    columns: Mapping[str, MapColumn],
+    clock: MapColumn | None,
+    notes: list[str],
+) -> tuple[RecordedTable, list[_Rows]]:
     """Read columns of a file, together those that share their rows, and the times of the clock
-    alone where no column does; and notes.
+    alone where no column does.
 
     Raises SurefootError naming file, column and row.
 
@@ -250,13 +224,13 @@ def _read(
         source: of the map.
         columns: by the log's names.
         clock: of the rows; None for the messages' own in a bag, and for the source's rate.
+        notes: to which what is left out is added.
     """
     table = read_file(path, source, {one.theirs for one in (*columns.values(), clock) if one})
     times, leading = dict(table.stamps), table.topic(clock.theirs) if clock else ""
     if clock:
-        times[leading] = clock.read(
-            column_readings(table, clock.theirs, Source(names=source.names))[1]
-        )
+        plain = Source(names=source.names)
+        times[leading] = clock.read(column_readings(table, clock.theirs, plain)[1])
     elif not table.stamps:
         times[""] = np.arange(max(map(len, table.cells.values()), default=0)) / (source.rate or 1.0)
     groups: dict[tuple[str, bytes], tuple[np.ndarray, Columns]] = {}
@@ -269,32 +243,28 @@ def _read(
             blank[name] = error
             continue
         count = rows[-1] + 1 if len(rows) else 0
-        if count > len(times[topic]) or (count < len(times[topic]) and not _is_scattered(source)):
+        if count > len(times[topic]) or (count < len(times[topic]) and not source.scattered):
             raise SurefootError(
                 f"{path}: column {column.theirs!r} has {count} rows, the times {len(times[topic])}"
             )
-        key = (topic, rows.tobytes() if _is_scattered(source) else b"")
+        key = topic, rows.tobytes() if source.scattered else b""
         groups.setdefault(key, (rows, {}))[1][name] = column.read(values)
     if leading in times and leading not in {topic for topic, _ in groups}:
         groups[leading, b""] = np.arange(len(times[leading])), {}
     found = []
     for (topic, _), (rows, members) in groups.items():
         named = columns[next(iter(members))] if members else clock
-        named = clock if topic == leading and not _is_scattered(source) else named
+        named = clock if topic == leading and not source.scattered else named
         where = f"{path}: column {named.theirs if named else 't'!r}"
         t, numbers = times[topic][rows], rows + table.first
         kept, note = kept_rows(t, [*members.values()], where, table.row, numbers)
+        notes += [note] * bool(note)
         in_rows = {"t": t[kept]} | {name: values[kept] for name, values in members.items()}
-        found.append(_Rows(topic, in_rows, numbers[kept], note))
-    return table, found, [x.note for x in found if x.note] + _blank_lines(path, blank, found)
-
-
-def _blank_lines(
-    path: Path, blank: Mapping[str, SurefootError], found: Iterable[_Rows]
-) -> list[str]:
-    """A note on columns without a reading; raises the error of one that a log cannot lack."""
+        found.append(_Rows(topic, in_rows, numbers[kept]))
     there = {column_kind(name) for one in found for name in one.columns}
     for name, error in blank.items():
         if column_kind(name) not in _MAY_LACK or column_kind(name) in there:
             raise error
-    return [f"{path}: left out, NaN or empty throughout: {', '.join(blank)}"] if blank else []
+    if blank:
+        notes.append(f"{path}: left out, NaN or empty throughout: {', '.join(blank)}")
+    return table, found

@@ -30,9 +30,9 @@ REFERENCE_SAMPLES = "reference_samples"
 """The same: time of the first sample of its reference and usual interval between them [s]."""
 
 
-def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[Poses, list[str]]:
+def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray, notes: list[str]) -> Poses:
     """Poses in a reference's own columns t, ref_p and ref_q, or ref_roll, ref_pitch and ref_yaw:
-    R = Rz(yaw) Ry(pitch) Rx(roll); and a note on samples without an attitude, which are left out.
+    R = Rz(yaw) Ry(pitch) Rx(roll). Samples without an attitude are left out and added to the notes.
 
     Raises LogError as `unit_quaternions`, with the same arguments.
     """
@@ -40,15 +40,14 @@ def poses_of(table: Columns, path: Path, unit: str, rows: np.ndarray) -> tuple[P
     if EULER[0] in table:
         angles = np.column_stack([table[name] for name in EULER])
         q = Rotation.from_euler("ZYX", angles[:, ::-1]).as_quat(scalar_first=True)
-        return Poses(table["t"], p, q), []
+        return Poses(table["t"], p, q)
     q = np.column_stack([table[f"ref_q_{axis}"] for axis in "wxyz"])
-    known, notes = np.ones(len(q), dtype=bool), []
-    lost = np.flatnonzero(np.all(q == 0.0, axis=1))
-    if 0 < len(lost) < len(q):
-        known[lost] = False
-        notes.append(f"{path}: left out: {len(lost)} samples without an attitude (0, 0, 0, 0)")
+    known = np.any(q, axis=1)
+    if known.all() or not known.any():
+        return Poses(table["t"], p, unit_quaternions(path, q, unit, rows))
+    notes.append(f"{path}: left out: {np.sum(~known)} samples without an attitude (0, 0, 0, 0)")
     q = unit_quaternions(path, q[known], unit, rows[known])
-    return Poses(table["t"][known], p[known], q), notes
+    return Poses(table["t"][known], p[known], q)
 
 
 def unit_quaternions(
@@ -96,17 +95,16 @@ def imu_poses(poses: Poses, rules: ImportMap, name: str) -> Poses:
         return poses
     moved = tracked_poses(poses, reference)
     moved = replace(moved, t=moved.t + reference_offset(rules, name))
-    if reference.frame == "base":
-        if "p_BI" not in rules.model:
-            raise SurefootError(
-                f'{rules.path}: [reference] frame "base" needs [robot] imu_position, or an IMU in '
-                "the robot's file"
-            )
-        R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
-        p_BI = np.array(rules.model["p_BI"])
-        return mounted(moved, -R_BI.T @ p_BI, R_BI.T)
-    R_IM = matrix_from_quaternion(np.array(reference.q_IM))
-    return mounted(moved, np.array(reference.p_IM), R_IM)
+    if reference.frame == "imu":
+        R_IM = matrix_from_quaternion(np.array(reference.q_IM))
+        return mounted(moved, np.array(reference.p_IM), R_IM)
+    if "p_BI" not in rules.model:
+        raise SurefootError(
+            f'{rules.path}: [reference] frame "base" needs [robot] imu_position, or an IMU in '
+            "the robot's file"
+        )
+    R_BI = matrix_from_quaternion(np.array(rules.model.get("q_BI", [1.0, 0.0, 0.0, 0.0])))
+    return mounted(moved, -R_BI.T @ np.array(rules.model["p_BI"]), R_BI.T)
 
 
 def mounted(poses: Poses, p_IM: np.ndarray, R_IM: np.ndarray) -> Poses:

@@ -48,7 +48,9 @@ _LEAST_JUMP, _LEAST_TURN = 0.005, 0.02
 """Least size of a jump, m and rad, at any rate: a shin that hits a stair's edge changes a body's
 velocity by 1 m/s, or 5 rad/s, within a millisecond.
 """
-LONGEST_JUMP = 0.5
+_LISTED = 8
+"""Number of jumps whose times are listed."""
+_LONGEST_JUMP = 0.5
 """Longest time after which a tracker that has jumped is back [s]."""
 _FEW_DOUBTFUL = 0.03
 """Share of doubtful stamps up to which chance and gait explain them."""
@@ -133,34 +135,13 @@ def check_reference(poses: Poses) -> ReferenceCheck:
     if np.all(step == 1.0):
         said.append("stamps are whole numbers: of frames? Give [reference] rate, and no t")
     if (jumped := np.flatnonzero(jumps(poses))).size:
-        _, largest = max(_jump(poses, int(k)) for k in jumped)
-        said.append(f"{len(jumped)} jumps of position or attitude, the largest by {largest}")
+        when = ", ".join(f"{t:.2f}" for t in poses.t[jumped[:_LISTED]])
+        more = ", ..." * (len(jumped) > _LISTED)
+        said.append(f"{len(jumped)} jumps of position or attitude, at {when}{more} s")
     same = ~np.diff(pose, axis=0).any(axis=1)
     if held := np.sum(same & (_speeds(poses)[1] > _SLOWEST)):
         said.append(f"{held} samples repeat the one before while the body moves")
     return ReferenceCheck(samples, tuple(f"reference: {one}" for one in said))
-
-
-def _jump(poses: Poses, step: int) -> tuple[float, str]:
-    """Size of the jump over a step, relative to the least one, and its description.
-
-    It includes the adjacent samples, over which trackers often spread it.
-    """
-    a, b = max(step - 1, 0), min(step + 2, len(poses.t) - 1)
-    around = slice(max(a - _NEIGHBOURS, 0), b + _NEIGHBOURS + 1)
-    t, p = poses.t[around], poses.p[around]
-    beside = np.ones(len(t) - 1, dtype=bool)
-    beside[a - around.start : b - around.start] = False
-    usual = np.median((np.diff(p, axis=0) / np.diff(t)[:, None])[beside], axis=0)
-    within = float(poses.t[b] - poses.t[a])
-    R = Rotation.from_quat(poses.q[[a, b]], scalar_first=True)
-    moved = float(np.linalg.norm(poses.p[b] - poses.p[a] - usual * within))
-    turned = float((R[0].inv() * R[1]).magnitude())
-    words = (
-        f"{1e3 * moved:.0f} mm and {np.degrees(turned):.1f} deg within {1e3 * within:.0f} ms, "
-        f"{poses.t[step + 1] - poses.t[0]:.2f} s after the first sample"
-    )
-    return max(moved / _LEAST_JUMP, turned / _LEAST_TURN), words
 
 
 def miscounts(poses: Poses) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +182,7 @@ def jumps(poses: Poses) -> np.ndarray:
 
 
 def without_jumps(poses: Poses) -> Poses:
-    """Remove the poses between a jump and one back, at most LONGEST_JUMP later.
+    """Remove the poses between a jump and one back, at most _LONGEST_JUMP later.
 
     In these frames the tracker confused the body with another, or flipped its attitude.
     """
@@ -210,7 +191,7 @@ def without_jumps(poses: Poses) -> Poses:
         for first, last in pairwise(np.flatnonzero(jumps(poses))):
             # What follows a jump back is good, unless it still jumps once the poses before it are
             # removed.
-            if first != back and poses.t[last] - poses.t[first] < LONGEST_JUMP:
+            if first != back and poses.t[last] - poses.t[first] < _LONGEST_JUMP:
                 keep[first + 1 : last + 1], back = False, last
         if keep.all():
             return poses
@@ -238,21 +219,18 @@ class ReferenceNoise:
         position: standard deviation of a sample's position [m].
         stamp: standard deviation of a sample's stamp [s].
         angle: standard deviation of a sample's attitude [rad].
-        innovation: standard deviation of the prediction error from one sample to the next [m].
     """
 
     position: float
     stamp: float
     angle: float
-    innovation: float
 
     @property
     def line(self) -> str:
         """The result in words."""
         return (
             f"reference compared with the IMU: noise of {1e3 * self.position:.2g} mm, "
-            f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms; a filter over both "
-            f"predicts a sample to {1e3 * self.innovation:.2g} mm"
+            f"{np.degrees(self.angle):.2g} deg and {1e3 * self.stamp:.2g} ms"
         )
 
 
@@ -272,27 +250,25 @@ def reference_noise(
     poses = poses.rows((poses.t > t[1]) & (poses.t < t[-1]))
     extra = max(len(poses.t) - _LONGEST, 0) // 2
     poses = poses.rows(slice(extra, extra + _LONGEST))
-    beside = matching_imu(t, gyro, accel, poses)
+    beside = _matching_imu(t, gyro, accel, poses)
     if beside is None:
         return None
     velocity = derivative(poses.t, poses.p, REFERENCE_WINDOW, causal=False)
     tables = (np.diff(poses.t, prepend=poses.t[0]), beside.path - beside.path[0])
     tables += (np.ascontiguousarray(beside.R_GI), velocity)
 
-    def unlikely(log_sizes: np.ndarray) -> float:
+    def unlikely_at(log_sizes: np.ndarray) -> float:
         # Without noise the likelihood has no maximum; constant below the limits, it lets the
         # search end.
-        return _filtered(*tables, *np.maximum(np.exp(log_sizes), _SMALLEST))[0]
+        return _unlikely(*tables, *np.maximum(np.exp(log_sizes), _SMALLEST))
 
     enough = {"xatol": 0.03, "fatol": 0.1}
-    best = minimize(unlikely, np.log(_START), method="Nelder-Mead", options=enough)
-    position, stamp, force = np.maximum(np.exp(best.x), _SMALLEST).tolist()
-    _, innovation = _filtered(*tables, position, stamp, force)
-    predicted = float(np.sqrt(np.mean(innovation[1:] ** 2)))
-    return ReferenceNoise(position, stamp, _angle(beside, stamp), predicted)
+    best = minimize(unlikely_at, np.log(_START), method="Nelder-Mead", options=enough)
+    position, stamp, _ = np.maximum(np.exp(best.x), _SMALLEST).tolist()
+    return ReferenceNoise(position, stamp, _angle(beside, stamp))
 
 
-def matching_imu(
+def _matching_imu(
     t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses
 ) -> ReferenceVsImu | None:
     """Poses of the IMU frame, within the times of the IMU's rows, relative to the IMU's integrals;
@@ -307,10 +283,10 @@ def matching_imu(
     if len(poses.t) < FEWEST_SAMPLES:
         return None
     beside = compare_with_imu(t, gyro, accel, poses)
-    return beside if missed_rotation(beside) <= _MOST_MISSED_ROTATION else None
+    return beside if _missed_rotation(beside) <= _MOST_MISSED_ROTATION else None
 
 
-def missed_rotation(beside: ReferenceVsImu, at: np.ndarray | slice = slice(None)) -> float:
+def _missed_rotation(beside: ReferenceVsImu, at: np.ndarray | slice = slice(None)) -> float:
     """Share of the gyro's rotation that the reference does not have at samples of a mask (K,), by
     default all; over 1 for another body's.
 
@@ -351,8 +327,8 @@ def _transition(dt, force):
 
 
 @kernel
-def _filtered(dt, path, R_GI, velocity, position, stamp, force):
-    """Kalman filter: negative log-likelihood, and innovations (K, 3) [m].
+def _unlikely(dt, path, R_GI, velocity, position, stamp, force):
+    """Negative log-likelihood by a Kalman filter.
 
     Args:
         dt: (K,) since the sample before [s].
@@ -367,7 +343,6 @@ def _filtered(dt, path, R_GI, velocity, position, stamp, force):
     for i in range(3):
         P[i, i], P[3 + i, 3 + i] = _LEVER**2, 1.0
         P[6 + i, 6 + i], P[9 + i, 9 + i] = _DRIFT**2, _LEVER**2
-    innovation = np.empty_like(path)
     H, unlikely = np.zeros((3, 12)), 0.0
     H[:, :3] = np.eye(3)
     for k in range(len(dt)):
@@ -384,9 +359,8 @@ def _filtered(dt, path, R_GI, velocity, position, stamp, force):
         # Joseph's form, which stays positive definite under rounding.
         keep = np.eye(12) - gain @ H
         P = keep @ P @ keep.T + gain @ N @ gain.T
-        innovation[k] = e
         unlikely += 0.5 * (np.log(np.linalg.det(S)) + e @ np.linalg.solve(S, e))
-    return unlikely, innovation
+    return unlikely
 
 
 def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Poses) -> np.ndarray:
@@ -403,7 +377,7 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     """
     found = np.zeros(len(poses.t), dtype=bool)
     known = np.flatnonzero((poses.t > t[1]) & (poses.t < t[-1]))
-    beside = matching_imu(t, gyro, accel, poses.rows(known))
+    beside = _matching_imu(t, gyro, accel, poses.rows(known))
     if beside is None:
         return found
     dt = float(np.median(np.diff(t)))
@@ -422,7 +396,7 @@ def contradicted(t: np.ndarray, gyro: np.ndarray, accel: np.ndarray, poses: Pose
     out = _closed(beside.t, bad)
     if (
         out.mean() > 2.0 * _MOST_CONTRADICTED
-        or missed_rotation(beside, ~out) > _MOST_MISSED_ROTATION
+        or _missed_rotation(beside, ~out) > _MOST_MISSED_ROTATION
     ):
         return found
     found[known] = out

@@ -7,13 +7,11 @@ from surefoot.sim.importing.clock import jitter_line
 from surefoot.sim.importing.reference_check import (
     FEWEST_SAMPLES,
     check_reference,
-    missed_rotation,
     reference_noise,
     without_jumps,
 )
 from surefoot.sim.log import Log
 from surefoot.sim.log.reference import Poses, reference_poses
-from surefoot.sim.log.reference_vs_imu import compare_with_imu
 from surefoot.sim.robot.machine import Machine, machine_for_log
 
 
@@ -28,21 +26,13 @@ def reference_lines(log: Log, poses: Poses | None = None) -> tuple[str, ...]:
     poses = reference_poses(log) if poses is None else poses
     found = check_reference(poses)
     lines = (found.samples, *found.faults)
-    if not log.has("imu"):
-        return lines
     within = without_jumps(poses)
     within = within.rows((within.t > log.t[1]) & (within.t < log.t[-1]))
-    if len(within.t) < FEWEST_SAMPLES:
+    if not log.has("imu") or len(within.t) < FEWEST_SAMPLES:
         return lines
     noise = reference_noise(log.t, log.gyro, log.accel, within)
-    if noise:
-        return (*lines, noise.line)
-    missed = missed_rotation(compare_with_imu(log.t, log.gyro, log.accel, within))
-    by = f"{100 * missed:.0f} % of it" if missed < 1.0 else "more than it turns"
-    return (
-        *lines,
-        f"reference: does not turn as the IMU does (differs by {by}); try surefoot align",
-    )
+    otherwise = "reference: does not turn as the IMU does; try surefoot align"
+    return (*lines, noise.line if noise else otherwise)
 
 
 def import_lines(

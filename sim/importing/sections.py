@@ -71,6 +71,11 @@ class Source:
     "positions[3]".
     """
 
+    @property
+    def scattered(self) -> bool:
+        """Whether its columns have readings in rows of their own."""
+        return self.sparse or self.long is not None
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTable(Source):

@@ -1,5 +1,6 @@
 """Recordings that a test writes, and what an importer makes of them."""
 
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -55,6 +56,26 @@ def imported(files: Path | Sequence[Path], rules: str | Draft) -> Log:
 def as_named(names: Iterable[str], section: str = "columns") -> str:
     """A section of a map, of columns that have the log's names."""
     return f"[{section}]\n" + "".join(f'{name} = "{name}"\n' for name in names)
+
+
+def pasted(text: str, lines: Sequence[str]) -> str:
+    """A map with lines in place of its own."""
+    section = ""
+    for line in lines:
+        if line.startswith("["):
+            section = line
+            continue
+        key = line.partition(" = ")[0]
+        kept, at = [], ""
+        for old in text.splitlines():
+            at = old if old.startswith("[") else at
+            if not (at == section and old.partition(" = ")[0] == key):
+                kept.append(old)
+            if old == section:
+                kept.append(line)
+        text = "\n".join(kept) + "\n"
+    tomllib.loads(text)
+    return text
 
 
 def poses(t: np.ndarray, step: float) -> pd.DataFrame:

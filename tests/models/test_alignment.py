@@ -5,7 +5,6 @@ import tracemalloc
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from refusals import refused
 from scipy.interpolate import CubicSpline
@@ -14,13 +13,12 @@ from scipy.spatial.transform import Rotation, Slerp
 from studies.measured import measured_folder
 from surefoot.models.alignment.alignment import align, aligned_log
 from surefoot.models.alignment.least_squares import Placement, Readings, placement_residual
-from surefoot.sim.common.errors import SurefootError
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.effects.base import with_columns
 from surefoot.sim.importing.recording import read_recording
-from surefoot.sim.log import Log, Meta
 from surefoot.sim.log.reference import Poses, reference_poses
 
+GYRO = [f"gyro_{axis}" for axis in "xyz"]
 SCALER = measured_folder() / "scaler_trot"
 P_IM = np.array([0.04, 0.06, 0.11])
 R_IM = Rotation.from_euler("zyx", [0.5, -0.2, 0.1])
@@ -157,22 +155,20 @@ def test_residuals_vanish_where_the_placement_is_right(log):
     np.testing.assert_allclose(wrong[:, 3:] - rows[:, 3:], 0.3 * lever[:, :, 1], atol=1e-8)
 
 
-def test_too_little_in_common_is_one_line():
-    t = np.arange(0.0, 2.0, 0.01)
-    still = {f"{name}_{axis}": np.zeros(200) for name in ("gyro", "accel") for axis in "xyz"}
-    short = Log(pd.DataFrame({"t": t} | still), Meta(100.0), "short")
-    poses = Poses(t, np.zeros((200, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
-    refused("short: IMU and reference share too little", align, short, poses)
+TOO_LITTLE = {
+    "two seconds": lambda log: (log.rows(slice(1000)), None),
+    "a pose a second": lambda log: (log, reference_poses(log).rows(slice(None, None, 500))),
+    "a gyro that never turns": lambda log: (
+        with_columns(log, dict(zip(GYRO, 0.0 * log.gyro.T, strict=True))),
+        None,
+    ),
+}
 
 
-def test_a_pose_a_second_is_too_few_and_one_line(log):
-    with pytest.raises(SurefootError, match="share too little to be aligned"):
-        align(log, reference_poses(log).rows(slice(None, None, 500)))
-
-
-def test_a_gyro_that_never_turns_is_one_line(log):
-    still = with_columns(log, {f"gyro_{axis}": np.zeros(len(log.t)) for axis in "xyz"})
-    refused("share too little to be aligned", align, still)
+@pytest.mark.parametrize("case", TOO_LITTLE)
+def test_too_little_in_common_is_one_line(log, case):
+    message = f"{log.name}: IMU and reference share too little to be aligned"
+    refused(message, align, *TOO_LITTLE[case](log))
 
 
 def test_a_simulated_reference_is_that_of_the_imu(log):

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pandas.testing import assert_frame_equal
+from recorded import POSE, SENSORS, as_named, pasted
 from refusals import refused
 from scipy.spatial.transform import Rotation
 from written import written
@@ -18,18 +19,8 @@ from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.importing.recording import import_log
 from surefoot.sim.log import Log
 
-SENSORS = ("t", *(f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in "xyz"))
-POSE = (*(f"ref_p_{axis}" for axis in "xyz"), *(f"ref_q_{axis}" for axis in "wxyz"))
-MAP = f"""
-[columns]
-{"".join(f'{name} = "{name}"{chr(10)}' for name in SENSORS)}
-[reference]
-file = "mocap.csv"
-p_IM = [0.2, 0.0, 0.0]
-[reference.columns]
-t = "t"
-{"".join(f'{name} = "{name}"{chr(10)}' for name in POSE)}
-"""
+MAP = as_named(("t", *SENSORS)) + '[reference]\nfile = "mocap.csv"\np_IM = [0.2, 0.0, 0.0]\n'
+MAP += as_named(("t", *POSE), "reference.columns")
 
 
 def test_what_is_refused_is_one_line_and_leaves_nothing(log, tmp_path):
@@ -43,11 +34,11 @@ def test_what_is_refused_is_one_line_and_leaves_nothing(log, tmp_path):
 @pytest.fixture
 def recording(log, tmp_path):
     """A recording whose markers are beside the IMU, started later, with a stretch that leaps."""
-    log.frame[list(SENSORS)].to_csv(tmp_path / "run.csv", index=False)
+    log.frame[["t", *SENSORS]].to_csv(tmp_path / "run.csv", index=False)
     mocap = log.frame[["t", *POSE]].iloc[::5].copy()
-    q = list(POSE[3:])
+    q = POSE[3:]
     R_GI = Rotation.from_quat(mocap[q], scalar_first=True)
-    mocap[list(POSE[:3])] += R_GI.apply([0.05, 0.02, 0.11])
+    mocap[POSE[:3]] += R_GI.apply([0.05, 0.02, 0.11])
     mocap[q] = (R_GI * Rotation.from_euler("z", 20.0, degrees=True)).as_quat(scalar_first=True)
     mocap.loc[mocap.t.between(6.0, 6.05), "ref_p_z"] += 0.4
     mocap["t"] -= 2.5
@@ -60,15 +51,8 @@ def by_both_ways(file, map, folder):
     """The log that `align` writes, and the one that is imported with the lines it prints."""
     _, said = align_file(AlignSettings(file=file, map=str(map), out=folder / "aligned"))
     lines = said[said.index("[reference]") :]
-    kept, within = [], False
-    for line in map_file(map).read_text().splitlines():
-        within = line == "[reference]" if line.startswith("[") else within
-        if line == "[reference]":
-            kept += lines
-        elif not within:
-            kept.append(line)
     # The map stays where its files and its robot are looked for.
-    written(folder / "pasted.toml", "\n".join(kept))
+    written(folder / "pasted.toml", pasted(map_file(map).read_text(), lines))
     return Log.read(folder / "aligned/aligned.parquet"), import_log(file, folder / "pasted.toml")
 
 

@@ -204,11 +204,6 @@ def test_rows_outside_are_cut_and_gaps_are_marked(folder):
     np.testing.assert_array_equal(log.ref_ok, ~inside_gap)
 
 
-def test_the_main_file_works_like_its_folder(folder):
-    log = import_log(folder / "robot.csv", folder / "map.toml")
-    pd.testing.assert_frame_equal(log.frame, import_log(folder, folder / "map.toml").frame)
-
-
 @given(
     force=st.lists(st.floats(-100, 200), min_size=1, max_size=60),
     debounce=st.sampled_from([0.0, 0.01, 0.03]),

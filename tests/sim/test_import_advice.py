@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 import pytest
-from recorded import POSE, SENSORS
+from recorded import POSE, SENSORS, pasted
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.ground.terrain import Ground
@@ -40,26 +40,6 @@ def map_text(offset: str, **entries: str) -> str:
     lines += ["[reference]", "file = 'mocap.csv'", offset, "[reference.columns]"]
     lines += [f"{name} = {entries.get(name, repr(name))}" for name in ("t", *POSE)]
     return "\n".join(["[columns]", *lines, "[robot]", "name = 'spot_class'"]) + "\n"
-
-
-def pasted(text: str, lines: tuple[str, ...]) -> str:
-    """A map with lines in place of its own."""
-    section = ""
-    for line in lines:
-        if line.startswith("["):
-            section = line
-            continue
-        key = line.partition(" = ")[0]
-        kept, at = [], ""
-        for old in text.splitlines():
-            at = old if old.startswith("[") else at
-            if not (at == section and old.partition(" = ")[0] == key):
-                kept.append(old)
-            if old == section:
-                kept.append(line)
-        text = "\n".join(kept) + "\n"
-    tomllib.loads(text)
-    return text
 
 
 def rotated(left: Rotation = AS_IS, right: Rotation = AS_IS):

@@ -18,7 +18,7 @@ import surefoot.sim.importing.readers.file as file_module
 from studies.measured import measured_folder
 from surefoot.sim.importing.guessing.guess import guess_map
 from surefoot.sim.importing.guessing.recorded_file import recorded_files
-from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, read_npz, rows_first
+from surefoot.sim.importing.readers.array_file import read_hdf5, read_mat, rows_first
 from surefoot.sim.importing.readers.file import read_file
 from surefoot.sim.importing.readers.json_file import read_json
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings
@@ -128,14 +128,6 @@ def test_the_memory_for_a_text_is_that_of_its_worst_case(tmp_path, monkeypatch):
     refused("no records and no lists in it", read_json, path)
     monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={0.94 * most}")
     refused("bytes in memory", read_json, path)
-
-
-def test_an_array_has_eight_bytes_for_each_of_its_numbers(tmp_path, monkeypatch):
-    np.save(tmp_path / "run.npy", vectors("gyro"))
-    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={8 * 3 * ROWS}")
-    np.testing.assert_array_equal(read_npz(tmp_path / "run.npy").cells["array"], vectors("gyro"))
-    monkeypatch.setenv("SUREFOOT_LIMITS", f"memory={8 * 3 * ROWS - 1}")
-    refused("bytes of arrays", read_npz, tmp_path / "run.npy")
 
 
 @pytest.mark.parametrize(

@@ -65,14 +65,6 @@ def test_the_tables_of_a_folder_are_drafted_together(tmp_path):
     assert (draft.file, draft.reference_file) == (tmp_path / "imu.csv", tmp_path / "truth.csv")
 
 
-@pytest.mark.parametrize(("later", "asked"), [(0.0, False), (3.9, False), (4.1, True)])
-def test_a_reference_that_was_never_recorded_at_once_has_another_clock(tmp_path, later, asked):
-    csv(tmp_path, IMU, "imu.csv")
-    csv(tmp_path, POSE.assign(t=T + later).add_prefix("vicon_"), "truth.csv")
-    draft = guess_map([tmp_path / "imu.csv", tmp_path / "truth.csv"])
-    assert any("the reference's clock is another" in note for note in draft.notes) == asked
-
-
 def test_rows_without_times_have_the_rate_by_which_angles_change_as_their_rates_say(tmp_path):
     """And the draft says so, or no log could be read by it."""
     angles = {"q_knee": 0.5 * np.sin(3.0 * T), "dq_knee": 1.5 * np.cos(3.0 * T)}

@@ -1,8 +1,6 @@
 """A reference is checked before it is used: frames, jumps, held samples, its noise by the IMU; what
 does not move as the IMU does is left out."""
 
-import re
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -15,7 +13,6 @@ from surefoot.scenarios.cli.main import main
 from surefoot.sim.common.quaternion import quaternion_from_matrix
 from surefoot.sim.importing.reference import interpolate_reference
 from surefoot.sim.importing.reference_check import (
-    ReferenceCheck,
     _closed,
     _transition,
     check_reference,
@@ -100,13 +97,13 @@ def test_errors_of_stamps_are_told_from_those_of_positions():
 
 def test_the_search_for_the_noise_of_a_reference_without_any_ends(monkeypatch):
     """Its likelihood has no maximum: it grows as the sizes tend to zero."""
-    calls, filtered = [], reference_check_module._filtered
+    calls, unlikely = [], reference_check_module._unlikely
 
     def counted(*arguments):
         calls.append(arguments)
-        return filtered(*arguments)
+        return unlikely(*arguments)
 
-    monkeypatch.setattr(reference_check_module, "_filtered", counted)
+    monkeypatch.setattr(reference_check_module, "_unlikely", counted)
     walk = motion(8.0, 400.0)
     found = reference_noise(walk.t, walk.gyro, walk.accel, poses(walk.t[5:-5:5]))
     assert found is not None
@@ -142,7 +139,7 @@ def test_jumps_and_held_samples_and_gaps_are_counted():
     seen.p[800], seen.q[800] = seen.p[799], seen.q[799]
     found = check_reference(seen.rows(np.abs(T - 9.0) > 0.04))
     assert "longest gap 90 ms, 1 over 50 ms" in found.samples
-    assert "3 jumps of position or attitude, the largest by" in "".join(found.faults)
+    assert "3 jumps of position or attitude, at 2.99, 5.99, 6.03 s" in "".join(found.faults)
     assert "1 samples repeat the one before while the body moves" in "".join(found.faults)
     np.testing.assert_array_equal(np.flatnonzero(jumps(seen)), [299, 599, 603])
     np.testing.assert_array_equal(np.setdiff1d(T, without_jumps(seen).t), T[600:604])
@@ -173,35 +170,17 @@ def test_poses_between_two_excursions_are_kept_and_those_of_a_chain_of_them_remo
     np.testing.assert_array_equal(np.setdiff1d(T, left.t), T[x > 0.0])
 
 
-def test_the_largest_jump_is_told_by_its_size_and_time():
-    """One that a tracker spreads over three samples, after a smaller one; stamps may begin late."""
-    spread = np.interp(np.arange(1000), [834, 837], [0.0, 0.1])
-    seen = aside(spread + 0.03 * (T > 2.0))
-    moved, after = size_and_time(check_reference(Poses(T + 70.0, seen.p, seen.q)))
-    assert after == pytest.approx(8.36, abs=0.02)
-    assert moved == pytest.approx(0.1, abs=0.005)
-
-
-def size_and_time(found: ReferenceCheck) -> tuple[float, float]:
-    """Displacement [m] and time since the first sample [s] of the largest jump, of its words."""
-    (jump,) = [one for one in found.faults if "jumps" in one]
-    moved, after = re.findall(r"([\d.]+) mm .* ([\d.]+) s after the first sample", jump)[0]
-    return 1e-3 * float(moved), float(after)
-
-
 @pytest.mark.parametrize("first", [1, 2, 5, 990, 998])
-def test_a_jump_near_an_end_has_its_size_too(first):
-    moved, after = size_and_time(check_reference(aside(0.1 * (np.arange(1000) >= first))))
-    assert after == pytest.approx(T[first], abs=0.011)
-    assert moved == pytest.approx(0.1, abs=0.005)
+def test_a_jump_near_an_end_is_told_too(first):
+    (said,) = check_reference(aside(0.1 * (np.arange(1000) >= first))).faults
+    assert f"1 jumps of position or attitude, at {T[first - 1]:.2f} s" in said
 
 
-def test_a_jump_of_a_body_that_speeds_up_has_its_size_too():
+def test_a_jump_of_a_body_that_speeds_up_is_told_too():
     """The usual speed is that of as many steps before as after, even where there are no more."""
     t = 0.01 * np.arange(40)
-    found = check_reference(straight(t, 10.0 * t**2 + 0.1 * (np.arange(40) > 4)))
-    assert "1 jumps" in "".join(found.faults)
-    assert size_and_time(found)[0] == pytest.approx(0.1, abs=1e-9)
+    (said,) = check_reference(straight(t, 10.0 * t**2 + 0.1 * (np.arange(40) > 4))).faults
+    assert "1 jumps of position or attitude, at 0.04 s" in said
 
 
 def test_a_blow_is_no_jump_at_any_rate():

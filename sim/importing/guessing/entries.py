@@ -8,9 +8,14 @@ import numpy as np
 from surefoot.sim.importing.clock import Columns
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.guessing.draft import Entry
-from surefoot.sim.importing.guessing.names import HINGES, Named, by_their_legs, lists_of
+from surefoot.sim.importing.guessing.names import (
+    HINGES,
+    Named,
+    by_their_legs,
+    lists_of,
+    name_in_file,
+)
 from surefoot.sim.importing.guessing.recorded_file import RecordedFile
-from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.guessing.units import (
     stride_in_turns,
     unit_of_accel,
@@ -36,26 +41,26 @@ _SWAPPED = "in left turns the strides on this robot's left are longer: are left 
 
 
 def guess_columns(
-    file: RecordedFile, commands: bool = False
-) -> tuple[list[Entry], list[str], float | None]:
-    """Entries for times, IMU, joints and feet of a file, questions that concern no single column
-    and, for a file without times, the rate of its rows [Hz] by the joints' rates.
+    file: RecordedFile, notes: list[str], commands: bool = False
+) -> tuple[list[Entry], float | None]:
+    """Entries for times, IMU, joints and feet of a file and, for a file without times, the rate of
+    its rows [Hz] by the joints' rates.
 
-    commands: whether its joint columns are targets and not readings.
+    Questions that concern no single column are added to the notes. `commands` says whether its
+    joint columns are targets and not readings.
     """
-    imu, notes = _imu_entries(file)
+    imu = _imu_entries(file, notes)
     yaw = next((e.scale * file.columns[e.theirs] for e in imu if e.name == "gyro_z"), None)
     file = replace(file, yaw=yaw)
     columns = _joint_columns(file, commands)
     joints, rate = _joint_entries(file, columns)
     notes += _beyond_limits(file, joints)
     # Feet without names are in the order of the joints' legs.
-    known = file.machine.limbs.legs if file.machine is not None else ()
+    legs = file.limbs.legs or LEGS
     order = [*dict.fromkeys(joint.partition("_")[0] for joint in columns.get("q", {}))]
-    legs = order if {*order} == {*(known or LEGS)} else known or LEGS
-    feet, feet_notes = _feet_entries(file, legs)
+    legs = order if {*order} == {*legs} else legs
     times = [file.t] if file.t else []
-    return [*times, *imu, *joints, *feet], notes + feet_notes, rate
+    return [*times, *imu, *joints, *_feet_entries(file, legs, notes)], rate
 
 
 def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
@@ -63,9 +68,8 @@ def _of(file: RecordedFile, *kinds: str) -> dict[str, Named]:
     return {name: named for name, named in file.names.items() if named.kind in kinds}
 
 
-def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
-    """Entries of gyro and accelerometer, and notes."""
-    notes: list[str] = []
+def _imu_entries(file: RecordedFile, notes: list[str]) -> list[Entry]:
+    """Entries of gyro and accelerometer."""
     entries: list[Entry] = []
     accel = None
     # The accelerometer first, as the gyro's unit follows from it.
@@ -89,7 +93,7 @@ def _imu_entries(file: RecordedFile) -> tuple[list[Entry], list[str]]:
         asked = f"this, or {others[0]}?" if others else _source_doubt(source) or doubt
         axes = zip("xyz", found[0], strict=True)
         entries = [*(Entry(f"{kind}_{a}", n, unit, gain, asked) for a, n in axes), *entries]
-    return entries, notes
+    return entries
 
 
 def vectors(given: Mapping[str, Named], sources: Sequence[str]) -> list[tuple[str, ...]]:
@@ -174,7 +178,7 @@ def _named_joints(file: RecordedFile, given: Mapping[str, Named]) -> list[Entry]
             doubt = "" if file.names[name].kind else "angles, by their sizes?"
             if one.leg and not (one.part or one.joint):
                 doubt = f"which joint of {one.leg} is {name}?"
-            if file.machine is not None and joint not in file.machine.limbs.joints:
+            if file.machine is not None and joint not in file.limbs.joints:
                 doubt = f"{file.machine.name} has no joint {joint}: which is it?"
             found.append(Entry(joint, name, doubt=doubt))
     return found
@@ -195,7 +199,7 @@ def _counted_joints(
     places = sorted({number[n] for n, one in given.items() if one.place is not None})
     values = {number[n]: file.columns[n] for n in angles}
     # The last of a list may be places without a motor, as of the twenty of a Go2.
-    motors = len(file.machine.limbs.joints if file.machine is not None else JOINTS)
+    motors = len(file.limbs.joints or JOINTS)
     silent = not any(values[at].any() for at in places[motors:] if at in values)
     if silent and len(places) not in map(len, file.lists.values()):
         places = places[:motors]
@@ -236,10 +240,9 @@ def _fitting_order(
     The angles of a robot's joints are within its limits; the strides of a quadruped's outer legs
     are the longer ones in turns. Angles are (N,) in any unit, None of a joint without.
     """
-    machine = file.machine
-    if machine is not None and len(machine.limbs.joints) == len(angles):
-        joints = machine.limbs.joints
-        kinds = dict(zip(joints, machine.limbs.kind_of, strict=True))
+    joints = file.limbs.joints
+    if file.machine is not None and len(joints) == len(angles):
+        kinds = dict(zip(joints, file.limbs.kind_of, strict=True))
         by_kind = sorted(joints, key=lambda joint: [*kinds.values()].index(kinds[joint]))
         known = {k: x for k, x in enumerate(angles) if x is not None}
         scale = UNITS["q"][unit_of_angles(known.values(), set())[0]]
@@ -248,7 +251,7 @@ def _fitting_order(
             for order in (joints, by_kind)
         ]
         if fits[0] >= fits[1]:
-            return joints, f"are its joints in the order of {machine.name}?"
+            return joints, f"are its joints in the order of {file.machine.name}?"
         return by_kind, f"are its joints in the order {', '.join(by_kind)}?"
     if len(angles) == len(JOINTS):
         known = {joint: x for joint, x in zip(JOINTS, angles, strict=True) if x is not None}
@@ -261,9 +264,9 @@ def _fitting_order(
 def _share_inside(file: RecordedFile, joint: str, angles: np.ndarray) -> float:
     """Share of the angles (N,) [rad] within the limits of the robot's joint; 1 without limits."""
     robot = file.machine.legged if file.machine is not None else None
-    if robot is None or joint not in robot.limbs.joints:
+    if robot is None or joint not in file.limbs.joints:
         return 1.0
-    low, high = robot.joint_range[robot.limbs.joints.index(joint)]
+    low, high = robot.joint_range[file.limbs.joints.index(joint)]
     return float(np.mean((angles > low - _BEYOND) & (angles < high + _BEYOND)))
 
 
@@ -282,59 +285,52 @@ def _longer_inside(file: RecordedFile, angles: Columns) -> bool:
 
 
 def _joint_entries(file: RecordedFile, joints: _Joints) -> tuple[list[Entry], float | None]:
-    """Entries of the joints, and the rate of the rows [Hz] where joint rates determine it."""
-    slides = file.machine.limbs.slides if file.machine is not None else ()
+    """Entries of the joints, those that turn and those that slide, and the rate of the rows [Hz]
+    where joint rates determine it.
+    """
     entries: list[Entry] = []
     rate = None
-    for slide in (False, True):
+    for slide, unit_of, rates_in, force in (
+        (False, unit_of_angles, UNITS["dq"], "N m"),
+        (True, unit_of_travels, UNITS["ref_v"], "N"),
+    ):
         alike = {
-            kind: {joint: one for joint, one in of_kind.items() if (joint in slides) is slide}
+            kind: [one for joint, one in of_kind.items() if (joint in file.limbs.slides) is slide]
             for kind, of_kind in joints.items()
         }
-        found, rows = _entries_alike(file, {k: one for k, one in alike.items() if one}, slide)
-        entries, rate = entries + found, rate or rows
-    return entries, rate
-
-
-def _entries_alike(
-    file: RecordedFile, joints: _Joints, slide: bool
-) -> tuple[list[Entry], float | None]:
-    """The same of joints that all turn, or all `slide`."""
-    entries: list[Entry] = []
-    rate, unit_of, rates_in, force = None, unit_of_angles, UNITS["dq"], "N m"
-    if slide:
-        unit_of, rates_in, force = unit_of_travels, UNITS["ref_v"], "N"
-    values = {
-        kind: {joint: file.columns[one.theirs] for joint, one in of_kind.items()}
-        for kind, of_kind in joints.items()
-    }
-    swapped = _SWAPPED if _longer_inside(file, values.get("q", {})) else ""
-    for kind, of_joint in joints.items():
-        prefix, readings = kind, values[kind]
-        names = [file.names[one.theirs] for one in of_joint.values()]
-        if kind.startswith("q"):
-            unit, doubt = unit_of(readings.values(), {one.unit for one in names})
-        elif kind.startswith("dq"):
-            angles = values.get("q" if kind == "dq" else "q_des", {})
-            both = [joint for joint in readings if joint in angles]
-            rates = [readings[joint] for joint in both or readings]
-            scale = UNITS["q"][unit_of(angles.values(), set())[0]]
-            angles = [scale * angles[joint] for joint in both]
-            unit, doubt, rows = unit_of_rates(file.seconds, rates, angles, rates_in)
-            rate = rows or rate
-        else:
-            unit = force
-            most = usual_size(readings.values())
-            doubt = f"are these {unit}, or current?" if most > 300.0 else ""
-            if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
-                prefix, unit = f"x_{kind}", None
-                doubt = "never negative: magnitudes, of which unit?"
-        if kind in ("q", "dq"):
-            doubt = doubt or _source_doubt(names[0].source)
-        entries += [
-            Entry(f"{prefix}_{joint}", one.theirs, unit, doubt=one.doubt or doubt or swapped)
-            for joint, one in of_joint.items()
-        ]
+        values = {k: {one.name: file.columns[one.theirs] for one in of} for k, of in alike.items()}
+        swapped = _SWAPPED if _longer_inside(file, values.get("q", {})) else ""
+        for kind, of_kind in ((k, of) for k, of in alike.items() if of):
+            prefix, readings = kind, values[kind]
+            names = [file.names[one.theirs] for one in of_kind]
+            if kind.startswith("q"):
+                unit, doubt = unit_of(readings.values(), {one.unit for one in names})
+            elif kind.startswith("dq"):
+                angles = values.get("q" if kind == "dq" else "q_des", {})
+                both = [joint for joint in readings if joint in angles]
+                rates = [readings[joint] for joint in both or readings]
+                scale = UNITS["q"][unit_of(angles.values(), set())[0]]
+                angles = [scale * angles[joint] for joint in both]
+                unit, doubt, rows = unit_of_rates(file.seconds, rates, angles, rates_in)
+                rate = rate or rows
+            else:
+                unit = force
+                most = usual_size(readings.values())
+                doubt = f"are these {unit}, or current?" if most > 300.0 else ""
+                if all(v.min() >= 0.0 for v in readings.values()) and most > 0.0:
+                    prefix, unit = f"x_{kind}", None
+                    doubt = "never negative: magnitudes, of which unit?"
+            if kind in ("q", "dq"):
+                doubt = doubt or _source_doubt(names[0].source)
+            entries += [
+                replace(
+                    one,
+                    name=f"{prefix}_{one.name}",
+                    unit=unit,
+                    doubt=one.doubt or doubt or swapped,
+                )
+                for one in of_kind
+            ]
     return entries, rate
 
 
@@ -351,9 +347,9 @@ def _beyond_limits(file: RecordedFile, entries: Sequence[Entry]) -> list[str]:
     return [question] * bool(beyond)
 
 
-def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry], list[str]]:
-    """Entries of contacts, forces and positions of the feet, and notes; `legs` is the order of the
-    legs for feet without names.
+def _feet_entries(file: RecordedFile, legs: Sequence[str], notes: list[str]) -> list[Entry]:
+    """Entries of contacts, forces and positions of the feet; `legs` is the order of the legs for
+    feet without names.
     """
     found = {n: x for n, x in _of(file, "contact", "force", "foot").items() if x.source in _SOURCES}
     counted = _counted_legs(found, legs)
@@ -386,9 +382,9 @@ def _feet_entries(file: RecordedFile, legs: Sequence[str]) -> tuple[list[Entry],
         column = f"foot_{one.leg}_{one.axis}"
         doubt = in_order if name in counted else ""
         entries.setdefault(column, Entry(column, name, "m" if most < 3.0 else "mm", doubt=doubt))
-    notes = ["are foot_<leg> along the IMU's axes, from its origin?"] if feet else []
+    notes += ["are foot_<leg> along the IMU's axes, from its origin?"] * bool(feet)
     notes += _missing_feet(file, found, entries)
-    return list(entries.values()), notes
+    return list(entries.values())
 
 
 def _missing_feet(
@@ -397,7 +393,6 @@ def _missing_feet(
     """Questions where only some of the feet have a column of a kind: there is no other for a leg of
     the robot, or there are columns with one more word, which may be a leg's.
     """
-    known = file.machine.limbs.legs if file.machine is not None else ()
     asked = []
     for kind in ("contact", "force", "foot"):
         used = {e.theirs for e in entries.values() if found[e.theirs].kind == kind}
@@ -408,7 +403,7 @@ def _missing_feet(
             for name, one in found.items()
             if one.kind == kind and not one.leg and _with_a_word_less(one) & stems
         ]
-        if used and (alike or there < {*known}):
+        if used and (alike or there < {*file.limbs.legs}):
             others = f", as {', '.join(alike)}" if alike else ""
             asked.append(
                 f"{kind} of {', '.join(sorted(there))} alone: which are the others{others}?"

@@ -74,12 +74,12 @@ def guess_map(
     main = max(read, key=_richness)
     others = [one for one in read if one is not main]
     poses = [one for one in others if _reference(one) and _richness(one) == 0]
-    entries, asked, rate = guess_columns(main)
     notes: list[str] = []
+    entries, rate = guess_columns(main, notes)
     sources: dict[str, tuple[Path, Entry]] = {}
     for one in (one for one in others if one not in poses):
         label, there = one.label, {"t", *(entry.name for entry in entries)}
-        added, _, _ = guess_columns(one, commands=read_name(label).commanded)
+        added, _ = guess_columns(one, [], commands=read_name(label).commanded)
         added = [replace(e, theirs=f"{label}:{e.theirs}") for e in added if e.name not in there]
         if added and (clock := one.t or one.counter):
             sources[label] = (one.path, clock)
@@ -88,13 +88,9 @@ def guess_map(
             columns = ", ".join([*one.columns][:_FEW])
             what = one.path.name if one.path != main.path else f"{label} in {one.path.name}"
             notes.append(f"nothing of {what} is used: what are its columns {columns}?")
-    entries, dropped = _complete(entries)
-    notes += asked + dropped
+    entries = _complete(entries, notes)
     at = poses[0] if poses else main
     reference = _reference(at)
-    if reference and main.seconds is not None and at.seconds is not None:
-        apart = at.seconds[0] > main.seconds[-1] or at.seconds[-1] < main.seconds[0]
-        notes += ["the reference's clock is another: which [reference] offset?"] * bool(apart)
     stated = None if main.t else main.stated or ((rate, "rates of joints") if rate else None)
     notes += _missing(main, entries, rated=stated is not None)
     # Columns of other files are named as in a map.
@@ -148,7 +144,7 @@ def _reference(one: RecordedFile) -> tuple[Entry, ...]:
     if not is_bag(one.path):
         return _pose(one)
     topics: dict[str, Columns] = {}
-    for name, values in one.recorded.items():
+    for name, values in one.columns.items():
         topics.setdefault(topic_of(name), {})[name] = values
 
     def order(topic: str) -> tuple[int, float]:
@@ -216,16 +212,18 @@ def _attitude(one: RecordedFile, turned: Mapping[str, Named]) -> list[Entry]:
     return [Entry(a, n, unit, doubt=doubt) for a, n in zip(axes, columns, strict=True)]
 
 
-def _complete(entries: list[Entry]) -> tuple[list[Entry], list[str]]:
-    """Drop the kinds of joint columns that not every joint has, as a log may not have them."""
+def _complete(entries: Sequence[Entry], notes: list[str]) -> list[Entry]:
+    """The entries but for kinds of joint columns that not every joint has, as a log may not have
+    them; these are noted.
+    """
     joints = {e.name[2:] for e in entries if joint_prefix(e.name) == "q_"}
-    kept, said = list(entries), []
+    kept = list(entries)
     for prefix in ("dq_des_", "q_des_", "tau_ff_", "dq_", "tau_"):
         of_kind = {e.name for e in kept if joint_prefix(e.name) == prefix}
         if of_kind and {n.removeprefix(prefix) for n in of_kind} != joints:
             kept = [e for e in kept if e.name not in of_kind]
-            said.append(f"{', '.join(sorted(of_kind)[:3])}: not of every joint, left out")
-    return kept, said
+            notes.append(f"{', '.join(sorted(of_kind)[:3])}: not of every joint, left out")
+    return kept
 
 
 def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[str]:
@@ -234,15 +232,15 @@ def _missing(main: RecordedFile, entries: Sequence[Entry], rated: bool) -> list[
     """
     there = {entry.name for entry in entries}
     groups = {name.partition("_")[0] for name in there}
-    legs = main.machine is not None and bool(main.machine.limbs.legs)
-    legs |= any(one.leg for name in there for one in [read_name(name)] if joint_prefix(name))
+    legs = bool(main.limbs.legs) or any(
+        one.leg for name in there for one in [read_name(name)] if joint_prefix(name)
+    )
     found = []
     if groups <= {"t"}:
         found.append("no name says what a column is: which of those not used below is what?")
-    if main.t is None and (counter := main.counter):
-        found.append(f"{counter.theirs} counts rows: which [source] rate, or t with which gain?")
-    elif main.t is None and not rated:
-        found.append("no times found: which column are they, or what is the [source] rate?")
+    if main.t is None and (main.counter or not rated):
+        counts = f"{main.counter.theirs} counts rows" if main.counter else "no times found"
+        found.append(f"{counts}: which [source] rate, or which column and gain of t?")
     times = np.zeros(0) if main.seconds is None else main.seconds
     step = np.median(np.diff(times)) if len(times) > 1 else 0.0
     if step > 1.0 / SLOWEST:

@@ -16,22 +16,21 @@ from surefoot.sim.importing.guessing.names import (
     Named,
     by_their_legs,
     by_their_lists,
+    name_in_file,
     read_name,
     words_of,
 )
-from surefoot.sim.importing.guessing.robot_names import name_in_file
 from surefoot.sim.importing.readers.array_file import MOST_NAMES, PARAMETERS
 from surefoot.sim.importing.readers.bag import RECEIVED, UNREADABLE
 from surefoot.sim.importing.readers.file import detected_layout, read_file
 from surefoot.sim.importing.readers.table import RecordedTable, column_readings, columns_of
 from surefoot.sim.importing.readers.text import is_number
 from surefoot.sim.importing.sections import Source
+from surefoot.sim.robot.limbs import Limbs
 from surefoot.sim.robot.machine import Machine
 
-_RATES = (0.5, 5000.0)
-"""Range of plausible rates of a log [Hz]."""
-_USUAL_RATES = (8.0, 2500.0)
-"""Range of usual rates of a log [Hz]."""
+_RATES = (4.0, 4000.0)
+"""Range of plausible rates of a log [Hz], in which those by one unit of its times are."""
 _LARGEST_COUNT = 1e9
 """First count of a row below which it is no time since an epoch [ms]."""
 _STEPS = ("dt", "ts", "step", "timestep", "period")
@@ -51,7 +50,6 @@ class RecordedFile:
         path: of the file.
         label: a name for it.
         columns: by name, each (N,) on one clock, those of a bag interpolated to it.
-        recorded: the same as in the file.
         names: interpretation of each column's name.
         t: the column of times, or None.
         seconds: its times (N,) [s].
@@ -66,7 +64,6 @@ class RecordedFile:
     path: Path
     label: str
     columns: dict[str, np.ndarray]
-    recorded: dict[str, np.ndarray]
     names: dict[str, Named]
     t: Entry | None
     seconds: np.ndarray | None
@@ -76,6 +73,11 @@ class RecordedFile:
     stated: tuple[float, str] | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)
     yaw: np.ndarray | None = None
+
+    @property
+    def limbs(self) -> Limbs:
+        """Names of the robot's legs and joints; none without a robot."""
+        return Limbs((), (), ()) if self.machine is None else self.machine.limbs
 
     @property
     def counter(self) -> Entry | None:
@@ -123,7 +125,7 @@ def _stated_rate(columns: Columns) -> tuple[float, str] | None:
         last, value = (words_of(name) or [""])[-1], float(values[0])
         if np.ptp(values) == 0.0 and value > 0.0 and last in (*_STEPS, *_RATE_WORDS):
             found.append((value if last in _RATE_WORDS else 1.0 / value, name))
-    return min((one for one in found if _USUAL_RATES[0] < one[0] < _USUAL_RATES[1]), default=None)
+    return min((one for one in found if _RATES[0] < one[0] < _RATES[1]), default=None)
 
 
 def _between_readings(every: Columns, machine: Machine | None) -> Columns:
@@ -164,13 +166,12 @@ def _of_bag(table: RecordedTable, every: Columns, machine: Machine | None) -> li
         return []
     readings = {name: np.isfinite(x) for name, x in every.items()}
     stamps = {name: table.stamps[table.topic(name)][k] for name, k in readings.items()}
-    recorded = {name: every[name][k] for name, k in readings.items()}
     names = _names(every, machine)
     first = _leading(readings, names)
     at = stamps[first]
-    columns = {name: np.interp(at, stamps[name], x) for name, x in recorded.items()}
-    t = times_of_topic(table.topic(first), recorded, names)
-    return [RecordedFile(table.path, _plain(table.path.stem), columns, recorded, names, t, at)]
+    columns = {name: np.interp(at, stamps[name], every[name][k]) for name, k in readings.items()}
+    t = times_of_topic(table.topic(first), columns, names)
+    return [RecordedFile(table.path, _plain(table.path.stem), columns, names, t, at)]
 
 
 def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[RecordedFile]:
@@ -180,7 +181,7 @@ def _by_clock(path: Path, columns: Columns, machine: Machine | None) -> list[Rec
         names = _names(part, machine)
         part, t = _at_rising_times(part, column_of_times(part, names))
         seconds = t.scale * part[t.theirs] if t else None
-        found.append(RecordedFile(path, _label(path, part, long), part, part, names, t, seconds))
+        found.append(RecordedFile(path, _label(path, part, long), part, names, t, seconds))
     return found
 
 
@@ -221,12 +222,10 @@ def column_of_times(columns: Columns, names: Mapping[str, Named]) -> Entry | Non
             continue
         steps = np.diff(columns[name])
         step = float(np.median(steps[steps > 0.0]))
-        for low, high in (_USUAL_RATES, _RATES):
-            fits = [u for u, s in UNITS["t"].items() if low < 1.0 / (step * s) < high]
-            if fits:
-                sure = name in named and len(fits) == 1 and low == _USUAL_RATES[0]
-                doubt = "" if sure else f"is this the time, in {fits[0]}?"
-                return Entry("t", name, fits[0], doubt=doubt)
+        for unit, size in UNITS["t"].items():
+            if _RATES[0] <= 1.0 / (step * size) < _RATES[1]:
+                doubt = "" if name in named else f"is this the time, in {unit}?"
+                return Entry("t", name, unit, doubt=doubt)
     return None
 
 

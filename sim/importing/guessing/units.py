@@ -7,6 +7,7 @@ angles, the gyro and the rotation of gravity. Left and right follow from the str
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from scipy.ndimage import uniform_filter1d
 
 from surefoot.sim.importing.columns import DEGREE, STANDARD_GRAVITY, UNITS
@@ -148,15 +149,9 @@ def unit_of_accel(accel: np.ndarray) -> tuple[str, float, str]:
 def _gravity_doubt(mean: np.ndarray) -> str:
     """A doubt about the axes where the mean specific force (3,) does not point up."""
     axis = int(np.argmax(np.abs(mean)))
-    if axis == 2 and mean[2] > 0.0:
-        return ""
-    where = f"gravity reads {'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
-    remedy = (
-        "an IMU upside down ([robot] imu_orientation), the sign, or gravity itself (offset = 19.62)"
-        if axis == 2
-        else "give [robot] imu_orientation, or other axes"
-    )
-    return f"{where}: {remedy}?"
+    along = f"{'+' if mean[axis] > 0 else '-'} on {'xyz'[axis]}"
+    asked = "change [robot] imu_orientation, axes or signs, or add gravity (offset = 19.62)?"
+    return "" if along == "+ on z" else f"gravity reads {along}, not + on z: {asked}"
 
 
 def stride_in_turns(
@@ -174,19 +169,15 @@ def stride_in_turns(
         left: angles (N,) of the left legs' thighs, in any unit.
         right: of the right legs'.
     """
-    window = np.floor((t - t[0]) / _STRIDES)
-    parts = np.split(np.arange(len(t)), np.flatnonzero(np.diff(window)) + 1)
-    parts = [rows for rows in parts if len(rows) > 10]
-    sizes = [[np.mean([np.std(v[rows]) for v in side]) for rows in parts] for side in (left, right)]
-    if len(parts) < 4:
-        return None
-    turning = np.array([yaw[rows].mean() for rows in parts])
-    strides = np.array(sizes)
+    second = np.floor((t - t[0]) / _STRIDES)
+    turning = np.asarray(pd.Series(yaw).groupby(second).mean())
+    parts = [pd.DataFrame(np.column_stack(side)).groupby(second) for side in (left, right)]
+    strides = np.array([part.std(ddof=0).mean(axis=1) for part in parts], dtype=float)
     walking = strides.min(axis=0) > 0.3 * np.median(strides)
-    if walking.sum() < 4 or np.std(turning[walking]) < _CAN_TURN:
+    turning, strides = turning[walking], strides[:, walking]
+    if len(turning) < 4 or np.std(turning) < _CAN_TURN:
         return None
-    more = np.log(strides[1] / np.maximum(strides[0], 1e-12))[walking]
-    turning = turning[walking]
+    more = np.log(strides[1] / strides[0])
     if abs(np.corrcoef(turning, more)[0, 1]) < _AGREE:
         return None
     return float(np.polyfit(turning, more, 1)[0])
