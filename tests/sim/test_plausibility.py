@@ -477,6 +477,15 @@ def test_another_world_is_one_finding_on_another_clock_too(log, world, seconds):
     )
 
 
+@pytest.mark.parametrize("body", ["x", "z"])
+@pytest.mark.parametrize("world", WORLDS)
+def test_another_world_is_found_before_the_axes_of_the_tracked_body(log, world, body):
+    broken = without(in_world(body_turned(log, turned(body, 90)), WORLDS[world]), "ref_v")
+    found = check_log(broken, SPOT)[0]
+    advised = Rotation.from_quat(found.changes["reference"]["q_GW"], scalar_first=True)
+    assert (advised * WORLDS[world]).magnitude() < 1e-5
+
+
 @pytest.mark.parametrize(("leg", "lacks"), [("FL", "x_"), ("RR", "tau_")])
 def test_a_hip_of_the_opposite_sign_shows_when_a_robot_walks_straight_ahead(ahead, leg, lacks):
     """It moves about 0 rad, so that standing feet hardly move."""
