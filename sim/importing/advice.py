@@ -109,7 +109,7 @@ def _followed(given: _Values, changes: Changes, name: str) -> _Values:
                 after |= {place: _changed(given, place, value) for place in places}
                 continue
             before = after[section, key]
-            if key == "offset" and isinstance(before, dict):
+            if (section, key) == ("reference", "offset") and isinstance(before, dict):
                 value = before | {name: value}
             after[section, key] = _COMBINED[key](before, value) if key in _COMBINED else value
     return after

@@ -21,6 +21,7 @@ _UPRIGHT = 30.0
 """Largest such angle that an interpretation which corrects the reference leaves [deg]."""
 _LAST_IS_W = {f"ref_q_{a}": f"ref_q_{b}" for a, b in zip("wxyz", "zwxy", strict=True)}
 """Column -> that which was taken for it, where w is the last number and was read as the first."""
+_SAME_AXES = np.eye(3)
 _NED = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 _Y_UP = Rotation.from_euler("x", 90, degrees=True)
 _X_UP = Rotation.from_euler("y", -90, degrees=True)
@@ -158,15 +159,19 @@ def _on_time(view: LogView, lag: float) -> Changes:
     return {"reference": {"offset": round(offset, 3)}}
 
 
-def _leaning(view: LogView, read: Callable[[Rotation], Rotation] = lambda R: R) -> float:
+def _leaning(
+    view: LogView, read: Callable[[Rotation], Rotation] = lambda R: R, axes: np.ndarray = _SAME_AXES
+) -> float:
     """Angle between gravity and the vertical of a reference's attitudes as read [deg]; 0 where the
     accelerometer itself leans.
+
+    `axes` (3, 3) turn vectors of the tracked body to the IMU's axes.
     """
     force = view.log.accel.mean(axis=0)
     if view.robot is not None and force @ view.robot.R_BI[2] < 0.5 * np.linalg.norm(force):
         return 0.0
     R_GI = read(view.attitudes(-0.5 * MEAN, view.ok))
-    return angle_between(force, R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0))
+    return angle_between(force @ axes, R_GI.inv().apply([0.0, 0.0, 1.0]).mean(axis=0))
 
 
 def _other_reading(view: LogView, as_is: float, lean: float) -> Reading | None:
@@ -180,19 +185,20 @@ def _other_reading(view: LogView, as_is: float, lean: float) -> Reading | None:
     """
     gyro = view.gyro[view.ok]
     begin, end = (view.attitudes(after, view.ok) for after in (-0.5 * MEAN, 0.5 * MEAN))
-    fitting = []
+    match, fitting = view.gyro_match, []
     for one in OTHER_READINGS:
-        # A body turns alike in any world.
-        turned = (one.read(begin).inv() * one.read(end)).as_rotvec()
-        fits = as_is if one.of_world else float(match_axes(gyro, turned).paired.mean())
-        leans = _leaning(view, one.read)
+        # A body turns alike in any world, also one whose axes are not yet those of the IMU.
+        if one.of_world:
+            fits, leans = max(as_is, match.best.mean()), _leaning(view, one.read, match.axes)
+        else:
+            turned = (one.read(begin).inv() * one.read(end)).as_rotvec()
+            fits, leans = match_axes(gyro, turned).paired.mean(), _leaning(view, one.read)
         if leans < _UPRIGHT and fits > LIKELY:
             # Readings with the same rotation rate differ in the direction of gravity.
             fitting.append((round(fits, 2) - leans / 1e3, fits, one))
     if not fitting:
         return None
     _, fits, best = max(fitting, key=lambda one: one[0])
-    match = view.gyro_match
     if lean >= TILT:
         return best
     if fits < max(match.paired.mean() + 0.3, match.best.mean() - 0.05):
@@ -206,8 +212,7 @@ def _gyro_at_fault(view: LogView) -> bool:
     Judged by the legs or, where these show nothing, by whether the accelerometer agrees with the
     reference.
     """
-    match, corrected = view.gyro_match, view.gyro.copy()
-    corrected[:, match.order] = view.gyro * match.sign
+    corrected = view.gyro @ view.gyro_match.axes
     if view.stance is not None:
         which = view.stance.which
         as_is, otherwise = (view.stance.turning_fits(x[which]) for x in (view.gyro, corrected))

@@ -53,6 +53,11 @@ class AxesMatch:
         return match_axes(axes.T, np.eye(3))
 
     @property
+    def axes(self) -> np.ndarray:
+        """The match as a signed permutation (D, D): measured = axes @ expected."""
+        return np.eye(len(self.order))[self.order] * self.sign[:, None]
+
+    @property
     def exchanged(self) -> np.ndarray:
         """Mask (D,) of the columns that match another than their own."""
         return self.order != np.arange(len(self.order))

@@ -78,7 +78,7 @@ def dead(view: LogView) -> Iterator[Finding]:
 
     Compares: contacts with each other over time, and the velocity of each foot in contact with
         that of the others.
-    Threshold: none changes, or one does not for {UNCHANGED:g} s in which the others change
+    Threshold: at most one changes, or one does not for {UNCHANGED:g} s in which the others change
         {OTHERS_CHANGE} times and more, although the robot walks; in a log in which it never
         changes, one stride of the others, or a foot that moves for {MOVES:.0%} of its time;
         less than {MISSES:g} of the changes of most feet, where these have {MOST_SURE} or more.
@@ -120,11 +120,12 @@ def _never_changes(view: LogView, steps: np.ndarray) -> np.ndarray:
     # A robot that has just begun to walk has not lifted every foot.
     walks = np.where(contact[0], np.sum(count >= OTHERS_CHANGE), np.sum(steps >= STRIDE)) >= 2
     wrong = np.where(np.isfinite(moves), moves > MOVES, walks) & (count == 0)
-    if not (count.any() or wrong.any()) and log.has("reference"):
+    if np.sum(steps >= STRIDE) < 2 and not wrong.any() and log.has("reference"):
         far = float(np.ptp(log.ref_p[:, :2], axis=0).max()) > FARTHEST_STILL
         # Its feet move under it, so that it is not carried.
         feet = None if view.stance is None else view.stance.foot[:, :, :2]
-        wrong[:] = far and (feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05)
+        strides = feet is None or float(np.median(np.ptp(feet, axis=0))) > 0.05
+        wrong = (count == 0) & (far and strides)
     return wrong
 
 

@@ -325,9 +325,8 @@ def _axes_of_imu(view: LogView) -> np.ndarray | None:
     a, b = gyro - gyro.mean(axis=0), turning - turning.mean(axis=0)
     found = Rotation.align_vectors(a, b)[0].as_matrix()
     match = view.gyro_match
-    mirrored = np.eye(3)[match.order] * match.sign[:, None]
-    if np.linalg.det(mirrored) < 0 and len(match.wrong) and match.best.min() > LIKELY:
-        found = mirrored
+    if np.linalg.det(match.axes) < 0 and len(match.wrong) and match.best.min() > LIKELY:
+        found = match.axes
     if np.abs(found - np.round(found)).max() < np.sin(np.radians(TURNED_IMU)):
         found = np.round(found) + 0.0
     pairs = ((a, b), (view.accel[view.ok], view.felt[view.ok]))

@@ -244,3 +244,11 @@ def test_advice_is_added_to_what_the_map_says(tmp_path):
         "even": {"late": {"dq": pytest.approx(0.015)}, "held": ["q", "dq"]},
         "robot": {"joint_sign": {"knee": 1.0}},
     }
+
+
+def test_an_offset_of_contacts_is_no_clock_of_a_recording(tmp_path):
+    zeros = "[contact]\non = 40\noff = 30\noffset = { FL = 4, FR = 4, RL = 4, RR = 4 }\n"
+    (tmp_path / "map.toml").write_text(map_text("", force_FL="'force_FL'") + zeros)
+    rules = ImportMap.read(tmp_path / "map.toml")
+    lines, _ = advised_lines(({"contact": {"on": 25.0, "offset": 0.0}},), rules, "run")
+    assert tomllib.loads("\n".join(lines)) == {"contact": {"on": 25.0, "offset": 0.0}}

@@ -378,6 +378,22 @@ def test_cells_that_are_empty_between_readings_are_drafted(tmp_path, log):
         np.testing.assert_allclose(getattr(back, stream), getattr(log, stream)[rows], atol=close)
 
 
+@pytest.mark.parametrize("body", ["", "go_back_", "RigidBody1."])
+def test_axes_without_a_word_are_the_position_of_the_body_whose_quaternion_is_beside(
+    tmp_path, log, body
+):
+    poses = {"Frame": np.arange(len(log.t)), "Time (Seconds)": log.t}
+    poses |= {f"{body}{a.upper()}": 1e3 * log.ref_p[:, i] for i, a in enumerate("xyz")}
+    poses |= {f"{body}Q{a.upper()}": log.ref_q[:, i] for i, a in enumerate("wxyz")}
+    log.frame.filter(regex="^(t|gyro_.|accel_.|q_.*)$").to_csv(tmp_path / "robot.csv", index=False)
+    draft = guess_map([tmp_path / "robot.csv", csv(tmp_path, poses, "mocap.csv")])
+    assert {(e.name, e.theirs) for e in draft.reference} == {
+        ("t", "Time (Seconds)"),
+        *((f"ref_p_{a}", f"{body}{a.upper()}") for a in "xyz"),
+        *((f"ref_q_{a}", f"{body}Q{a.upper()}") for a in "wxyz"),
+    }
+
+
 def test_groups_of_a_file_that_have_clocks_of_their_own_are_all_drafted(tmp_path, log):
     """An HDF5 with nanoseconds since 1970 in each group: IMU at 250 Hz, the rest slower."""
     groups = {

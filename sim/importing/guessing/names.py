@@ -281,9 +281,13 @@ def lists_of(names: Mapping[str, Named], *shared: str) -> dict[tuple, dict[str, 
 def by_their_lists(names: Mapping[str, Named]) -> dict[str, Named]:
     """Interpret the elements of each list of one recording together: vectors of the feet, joints
     where a vector has too many elements, the pose (and velocities) of a body in one list, and a
-    position of three elements beside a quaternion, which are a pose.
+    position of three elements, or of a body's axes, beside its quaternion, which are a pose.
     """
     found = dict(names)
+    bodies = {one.stem.rpartition(" ")[0] for one in names.values() if one.kind == "ref_q"}
+    for name, one in names.items():
+        if one.axis and one.stem in bodies and not (one.kind or one.leg):
+            found[name] = replace(one, kind="ref_p")  # "trunk_x" beside "trunk_qx"
     plain = {n: one for n, one in names.items() if not (one.axis or one.leg or one.joint)}
     plain = {n: one for n, one in plain.items() if one.place is not None}
     lists = lists_of(plain, "kind", "source", "stem")
