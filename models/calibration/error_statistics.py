@@ -14,7 +14,7 @@ from surefoot.models.calibration.mixing import mixing
 from surefoot.sim.common.errors import SurefootError
 
 FEWEST_ERRORS = 20
-"""Independent errors needed for the test: D'Agostino's approximations are accurate from there on."""
+"""Independent errors needed for the test: D'Agostino's approximations are accurate from there."""
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,9 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     effects = found.effects
     if robot.legged is not None and found.stretches and found.stretches[0].log.has("q"):
         first = found.stretches[0]
-        estimates = {f"{first.filter} (declared model)": first.before}
+        estimates = {f"{first.filter} (declared model)": first.before.estimate}
         if effects:
-            estimates[f"{first.filter} (effect added)"] = first.after
+            estimates[f"{first.filter} (effect added)"] = first.after.estimate
         write_recording(out / "trace.rrd", RecordedWalk(first.log, robot.legged, estimates))
     title = headline(found)
     write_report(out / "report.html", f"{title[0].upper()}{title[1:]}", sections(found))
@@ -148,8 +148,8 @@ def _of_filters(found: Trace) -> list[Section]:
     )
     words = [f"{where}. Before: the declared model. After: with the effects found."]
     for one in found.stretches:
-        sides = zip(("before", "after"), one.lost, strict=True)
-        words += [f"{side}, on {one.log.name}: {why}" for side, why in sides if why]
+        sides = {"before": one.before.lost, "after": one.after.lost}
+        words += [f"{side}, on {one.log.name}: {why}" for side, why in sides.items() if why]
     rows = filter_rows(found.judged_filters, FIRST)
     parts = _given("Filters before and after", words, rows)
     if found.causes:
