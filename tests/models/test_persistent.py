@@ -67,33 +67,25 @@ def test_sequences_that_each_keep_their_own():
     rng = np.random.default_rng(0)
     found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
     assert found.time_constant == np.inf
-    assert (found.sequences, found.nu) == (30, 30.0)
+    assert found.nu == 30.0
+    assert np.sqrt(found.variance) == pytest.approx(STD, rel=0.3)
     for i in range(3):
-        low, high = found.interval[i]
-        assert low < STD[i] ** 2 < high
-        assert high < 4 * low
         assert found.covariance[i, i] == pytest.approx(found.variance[i] * 30 / 28)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """24 single logs of 300 s, three axes each and one tau: binomial bounds at 1e-4."""
+def test_sizes_and_time_constant_are_about_those_of_the_truth():
+    """Of 24 single logs of 300 s: medians, within what so many logs leave open."""
     rng = np.random.default_rng(1)
-    held, tau_held = 0, 0
-    for _ in range(24):
-        found = estimate_bias_model(errors(rng, 300.0, 15.0), DT, 0.8)
-        held += np.sum((found.interval[:, 0] <= STD**2) & (found.interval[:, 1] >= STD**2))
-        low, high = found.time_constant_interval
-        # The grid's neighbours bound the interval from outside.
-        tau_held += low / 1.32 <= 15.0 <= high * 1.32
-    assert held >= 60
-    assert tau_held >= 19
+    found = [estimate_bias_model(errors(rng, 300.0, 15.0), DT, 0.8) for _ in range(24)]
+    std = np.median([np.sqrt(one.variance) for one in found], axis=0)
+    assert std == pytest.approx(STD, rel=0.25)
+    assert 15.0 / 2.0 < np.median([one.time_constant for one in found]) < 15.0 * 2.0
 
 
 def test_nothing_that_lasts_is_about_nothing():
     rng = np.random.default_rng(2)
     found = [estimate_bias_model(errors(rng, 200.0, np.inf, 0 * STD), DT, 0.8) for _ in range(8)]
     assert np.median([np.sqrt(f.variance) for f in found]) < 0.05 * MIXING.max()
-    assert sum((f.interval[:, 0] <= 1e-7).sum() for f in found) >= 18
     for f in found:
         np.linalg.cholesky(f.covariance)
 
@@ -133,7 +125,6 @@ def test_a_sequence_shorter_than_a_block_has_only_its_mean_taken_off():
 def test_one_sequence_says_little_of_a_part_that_never_changes():
     found = estimate_bias_model(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
     assert found.nu < 20
-    assert np.all(found.interval[:, 1] > 3 * found.variance)
 
 
 @pytest.mark.parametrize("count", [0, 10, 499])
