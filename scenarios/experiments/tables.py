@@ -139,7 +139,7 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
-    seeds = experiment.sweep.seeds or experiment.seeds
+    seeds = experiment.seeds[:1] if experiment.sweep.gammas else experiment.seeds
     first = {key: value for key, value in experiment.first.items() if key != "gamma"}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
     mine = _of(mine, first)
