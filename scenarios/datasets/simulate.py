@@ -66,7 +66,10 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     jobs = _jobs(settings, seeds, chosen)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
-            print(_without_imu(name))
+            print(
+                f"note: {name}: its model has no IMU, so the base frame is used instead; in an MJCF "
+                "a site named imu on the base body places one"
+            )
     for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
         rough = any(strip.rough for strip in scenario.ground.strips)
         if len(seeds) > 1 and scenario.ranges == Ranges() and not rough:
@@ -110,13 +113,6 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     if len(fallen) == len(jobs):
         raise SurefootError(f"{out}: no walk was made, as every one ended in a fall")
     return made
-
-
-def _without_imu(robot: str) -> str:
-    how = "give the base body a site named imu to place one"
-    if robot.endswith(".urdf"):
-        how = "a URDF has no sites; in an MJCF a site named imu on the base body places one"
-    return f"note: {robot}: its model has no IMU, so the base frame is used instead; {how}"
 
 
 def _jobs(settings: SimulateSettings, seeds: range, effects: tuple[Effect, ...]) -> list[Job]:

@@ -23,7 +23,7 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
     """Metrics of an estimate, time per step, trustworthiness, and statistics of the velocities
     used.
 
-    The latter are mean error (3,), standard deviation (3,), and share within the bounds. Bounds on
+    The latter are mean error (3,), and share within the bounds. Bounds on
     other quantities than a velocity, such as the mean of a window with a persistent part, are not
     evaluated here.
     """
@@ -37,7 +37,7 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
         return facts
     v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
     errors = (updates.v_I - v_I)[measured]
-    facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
+    facts["fed_mean"] = errors.mean(axis=0).tolist()
     if updates.epsilon is not None and hasattr(estimator_named(result.filter), "bounded_by"):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.

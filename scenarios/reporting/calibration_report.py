@@ -207,9 +207,6 @@ def methods_table(
             rows.append(row | {"note": str(error)})
             continue
         rows.append(row | _region_row(region, bounds, judged, how.label))
-        if region.shape is not None:
-            box = _region_row(region.box, bounds, judged, "the box that filters use")
-            rows.append({"method": f"{method}, its box", "errors": len(chosen)} | box)
     return pd.DataFrame(rows)
 
 
