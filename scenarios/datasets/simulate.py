@@ -67,8 +67,8 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
             print(
-                f"note: {name}: its model has no IMU, so the base frame is used instead; in an MJCF "
-                "a site named imu on the base body places one"
+                f"note: {name}: its model has no IMU, so the base frame is used instead; in an "
+                "MJCF, a site named imu on the base body places one"
             )
     for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
         rough = any(strip.rough for strip in scenario.ground.strips)
