@@ -71,13 +71,6 @@ def result(verdict, **known):
     return Trace(verdict=verdict, **given)
 
 
-def test_an_interval_has_digits_that_tell_its_ends_apart():
-    trace = Trace(verdict="attributed", channels={}, filters={})
-    one = Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))
-    (row,) = _sizes(trace, [one])
-    assert (row["low"], row["size"], row["high"]) == ("0.03464", "0.03501", "0.03538")
-
-
 def test_an_effect_is_named_from_a_size_of_its_own():
     (row,) = _sizes(result("attributed"), [replace(ONE, excess=8.7, least=0.004, agreement=9.0)])
     assert (row["named from"], row["standard deviations"]) == ("0.004", "8.7")
