@@ -195,8 +195,8 @@ def _fit(y, fresh, step: float) -> tuple[np.ndarray, np.ndarray, float]:
     by_tau = likelihood.max(axis=2).sum(axis=1)
     # Without a persistent part all tau are equivalent; prefer the longest as the simplest.
     best = len(TAUS) - 1 - int(np.argmax(by_tau[::-1]))
-    at = likelihood[best].argmax(axis=1)
-    return RATIOS[at], RATIOS[at] * s[best, range(3), at], float(TAUS[best])
+    at, c = likelihood[best].argmax(axis=1), RATIOS * s
+    return RATIOS[at], c[best, range(3), at], float(TAUS[best])
 
 
 def _innovations(y, fresh, ratio, phi):

@@ -7,6 +7,7 @@ The interval of the statistic is found by resampling strides.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.signal import butter, periodogram, sosfiltfilt
@@ -228,10 +229,11 @@ def spectra(walk: WalkView, sensor: str, axis: int | None = None) -> Values:
         raise SurefootError("less than a second of walk")
     pieces = reading[first[:, None] + np.arange(n)]
     # Pieces are a second long, so that bins are 1 Hz apart.
-    _, power = periodogram(pieces, n, np.hanning(n), axis=1)
+    window: Any = np.hanning(n)  # scipy's type hints know windows by name alone
+    power = np.asarray(periodogram(pieces, n, window, axis=1)[1]).sum(axis=2)
     found = np.full((len(first), len(FREQUENCIES)), np.nan)
     shown = min(len(FREQUENCIES), power.shape[1] - 1)
-    found[:, :shown] = power[:, 1 : shown + 1].sum(axis=2)
+    found[:, :shown] = power[:, 1 : shown + 1]
     return found, walk.log.t[first]
 
 

@@ -193,7 +193,7 @@ def causes_of_drift(
 
     def mean(compensated: Sequence[Effect]) -> np.ndarray:
         tried = [_by_legs(case, compensated, case.log.t[0], case.log.t[-1]) for case in judging]
-        drifts = [drift_parts(one[0], one[1]["leg"]) for one in tried if one and "leg" in one[1]]
+        drifts = [drift_parts(truth, one["leg"]) for truth, one in tried if "leg" in one]
         return np.mean(drifts, axis=0) if drifts else np.full(4, np.nan)
 
     if not effects:
@@ -214,13 +214,13 @@ def _judges(case: LogUnderModel) -> bool:
 
 def _by_legs(
     case: LogUnderModel, compensated: Sequence[Effect], begin: float, end: float
-) -> tuple[Trajectory, dict[str, Trajectory]] | None:
+) -> tuple[Trajectory, dict[str, Trajectory]]:
     """Reference, and estimates by leg odometry and by the leg filter, if it runs, on the part of a
-    log from `begin` to `end` [s] with these effects compensated; None where no foot stands.
+    log from `begin` to `end` [s] with these effects compensated; none where no foot stands.
     """
     tried = _estimates(case, compensated, begin, end, ("leg",), Learnt())
     if tried is None or DEAD_RECKONING not in tried.found:
-        return None
+        return reference(case.log), {}
     return reference(tried.log), tried.found
 
 
@@ -310,7 +310,7 @@ def _errors_by_legs(
     found: dict[str, list[float]] = {}
     for case, compensated, parts in (one for one in logs if _judges(one[0])):
         for ends in pairwise(np.linspace(case.log.t[0], case.log.t[-1], parts + 1)):
-            truth, tried = _by_legs(case, compensated, *ends) or (None, {})
+            truth, tried = _by_legs(case, compensated, *ends)
             for name, estimate in tried.items():
                 error = evaluate(truth, estimate).rpe_trans
                 found.setdefault(name, []).append(np.log(max(error, 1e-12)))
