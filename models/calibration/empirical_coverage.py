@@ -22,8 +22,6 @@ STILL = 0.05
 """Mean speed below which a robot stands [m/s], over the two seconds of STEEP."""
 SHORTEST_STRIDE = 0.2
 """Least time from a touchdown of a foot to its next [s]."""
-FEWEST_ERRORS = 5
-"""Least number of independent errors of a case that may be the worst."""
 QUARTERS = ("first", "second", "third", "last")
 
 ConditionRows = tuple[str, str, np.ndarray]
@@ -154,12 +152,6 @@ def coverage_by(
             n, joint = len(np.unique(block[where])), float(inside[where].mean())
             found.append(CaseCoverage(split, case, float(where.mean()), joint, n))
     return found
-
-
-def worst_case(cases: list[CaseCoverage]) -> CaseCoverage | None:
-    """The case covered least, of those with at least FEWEST_ERRORS independent errors, if any."""
-    counted = [case for case in cases if case.n >= FEWEST_ERRORS]
-    return min(counted, key=lambda case: case.joint, default=None)
 
 
 def binomial_interval(share: float, n: int) -> np.ndarray:

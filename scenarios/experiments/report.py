@@ -96,9 +96,9 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     print("\n" + in_terminal(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
-    for cell, result in outcome.cells.items():
-        if result.walk["falls"]:
-            print(f"fell: {cell.scenario.name}, {cell.condition.name}, seed {cell.seed}")
+    for condition in found.conditions:
+        if said := falls(outcome, condition.name):
+            print(f"{condition.name}: {said}")
     print(f"\nreport: {out / 'report.html'}")
     return rows
 

@@ -26,7 +26,6 @@ from surefoot.models.calibration.empirical_coverage import (
     coverage_by,
     stride_phase,
     walking_conditions,
-    worst_case,
 )
 from surefoot.models.calibration.mixing import LONGEST_LAG, beta_coefficient, discretise
 from surefoot.models.calibration.regions import (
@@ -230,9 +229,6 @@ def test_coverage_is_split_by_what_the_log_tells(bounds, walks):
     assert ("ground", "friction below 0.4") not in found
     quarters = [c for (split, _), c in found.items() if split == "stride"]
     assert [c.time for c in quarters] == pytest.approx([0.25] * 4, abs=0.02)
-    worst = worst_case(list(found.values()))
-    assert worst is not None
-    assert worst.case == "a foot slips"
     bare = Log(log.frame[["t"]], log.meta, "bare")
     assert coverage_by(bare, rows, errors, bounds) == []
 
