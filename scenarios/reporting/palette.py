@@ -24,7 +24,6 @@ _LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC
 _SIDES = {"before": "--", "after": "-"}
 """Lines of one estimator under two models."""
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
-_SPARE_STYLES = ("-", "--", "-.", ":")
 
 
 def estimator_color(name: str) -> str:
@@ -42,8 +41,7 @@ def estimator_line(name: str) -> str:
     name, side = _side(name)
     if side:
         return _SIDES[side]
-    spare = crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)
-    return traits(name).line or _SPARE_STYLES[spare]
+    return traits(name).line or "-"
 
 
 def estimator_look(name: str, note: str = "") -> dict[str, Any]:
