@@ -2,30 +2,25 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from scipy.stats import binom
+from synthetic import gauss_markov
 
 from surefoot.models.calibration.error_statistics import error_statistics
 from surefoot.sim.common.errors import SurefootError
 
 
-def correlated(rng: np.random.Generator, n: int, count: int) -> np.ndarray:
-    """Gaussian AR(1) sequences (n, count) of unit variance, one a column."""
-    start = rng.standard_normal((1, count))
-    noise = np.sqrt(1 - 0.9**2) * rng.standard_normal((n, count))
-    return lfilter([1.0], [1.0, -0.9], noise, axis=0, zi=0.9 * start)[0]
-
-
 def test_thinned_tests_of_correlated_gaussians_keep_their_level():
     """Rejections at 5 % of 200 sequences lie in the binomial band; unthinned they do not."""
-    errors = correlated(np.random.default_rng(1), 4000, 200)
+    errors = gauss_markov(np.random.default_rng(1), 4000, 0.9, axes=200)
     low, high = binom.ppf([5e-4, 1 - 5e-4], 200, 0.05)
     assert low <= np.sum(error_statistics(errors, K=40).normal_p < 0.05) <= high
     assert np.sum(error_statistics(errors, K=1).normal_p < 0.05) > 60
 
 
 def test_the_mean_is_inside_its_interval_as_often_as_stated():
-    found = error_statistics(0.3 + correlated(np.random.default_rng(2), 3000, 150), K=30)
+    found = error_statistics(
+        0.3 + gauss_markov(np.random.default_rng(2), 3000, 0.9, axes=150), K=30
+    )
     hits = np.sum(np.abs(found.mean - 0.3) < found.half_width)
     assert binom.cdf(hits, 150, 0.95) > 1e-4
 

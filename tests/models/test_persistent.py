@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from altered_bounds import write_bounds
 from scipy.linalg import cho_factor, cho_solve, toeplitz
-from scipy.signal import lfilter
+from synthetic import gauss_markov
 
 from surefoot.models.calibration.bias_model import (
     BiasModel,
@@ -26,17 +26,10 @@ STD = np.array([0.05, 0.03, 0.02])
 MIXING = np.array([0.08, 0.06, 0.05])
 
 
-def gauss_markov(rng, n, keep, std):
-    """A stationary process (n, 3) whose neighbours correlate by `keep`."""
-    steps = rng.standard_normal((n, 3))
-    steps[1:] *= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0)) * std
-
-
 def errors(rng, duration, tau, std=STD, forgets=0.05):
     n = round(duration / DT)
-    lasting = gauss_markov(rng, n, np.exp(-DT / tau), std)
-    return lasting + gauss_markov(rng, n, np.exp(-DT / forgets), MIXING)
+    lasting = std * gauss_markov(rng, n, np.exp(-DT / tau))
+    return lasting + MIXING * gauss_markov(rng, n, np.exp(-DT / forgets))
 
 
 @pytest.mark.parametrize("sign", [np.array([1.0, -1.0, 1.0]), np.ones(3)])
@@ -212,7 +205,7 @@ def test_a_constant_part_leaves_nothing_to_the_courses():
 def test_axes_that_move_apart_are_correlated_below_zero():
     """Pairs of block means: two axes opposed, a third on its own."""
     rng = np.random.default_rng(0)
-    own = gauss_markov(rng, 4000, 0.95, np.ones(3))
+    own = gauss_markov(rng, 4000, 0.95)
     y = np.stack([own[:, 0], 0.2 * own[:, 1] - own[:, 0], own[:, 2]], axis=1)
     found = _correlation(y, np.arange(4000) == 0, 0.95, 200.0)
     assert np.diag(found) == pytest.approx(1.0)
