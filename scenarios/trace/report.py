@@ -33,8 +33,6 @@ VERDICTS = {
     "unchanged": "nothing has changed since the runs that the declared effects were found in",
 }
 """The result in one sentence; `{}` stands for the effects found."""
-_PLURALS = {"joint": "joints", "link": "links", "leg": "legs", "leg_link": "links"}
-"""Kind of target that has groups (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
@@ -154,7 +152,7 @@ def _of_filters(found: Trace) -> list[Section]:
     if found.causes:
         drifts = {
             "as declared": found.causes.declared,
-            **{f"{e.name} {target_in_words(e)} adds": x for e, x in found.causes.added},
+            **{f"{e.name} {e.target} adds": x for e, x in found.causes.added},
             "with all effects": found.causes.left,
         }
         factors = np.array(list(DRIFT_PARTS.values()))
@@ -257,28 +255,13 @@ def headline(found: Trace) -> str:
 
 def _in_words(found: Trace, one: Effect) -> str:
     factor, unit = _scale(found, one.name, one.target)
-    return f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit}"
+    return f"{one.name} {one.target} {factor * one.value:+.3g} {unit}"
 
 
 def _scale(found: Trace, name: str, target: str) -> tuple[float, str]:
     """Factor to a suitable multiple of an effect's unit, and this multiple."""
     unit = found.unit_of(name, target)
     return _SCALE.get(unit, (1.0, unit))
-
-
-def target_in_words(one: Effect) -> str:
-    """A target in words: 'left' becomes 'of the left legs', 'calf' 'of every calf'; a single joint
-    or leg keeps its name.
-    """
-    kind = type(one).targets
-    if not type(one).groups or isinstance(kind, tuple):
-        return one.target
-    several = _PLURALS[kind]
-    if one.target == "all":
-        return f"of all {several}"
-    if one.target in ("left", "right", "front", "rear"):
-        return f"of the {one.target} {several}"
-    return f"of every {one.target}" if one.target in ("hip", "thigh", "calf") else one.target
 
 
 def unexplained_in_words(found: Trace) -> list[str]:
