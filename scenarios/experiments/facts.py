@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import error_series
@@ -42,8 +41,7 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)
-        low, high = binomial_interval(share, n)
-        facts |= {"coverage": share, "coverage_low": low, "coverage_high": high, "coverage_n": n}
+        facts |= {"coverage": share, "coverage_n": n}
     return facts
 
 
