@@ -43,14 +43,14 @@ TABLE_MEANINGS = {
 def tidy(outcome: Outcome) -> pd.DataFrame:
     """One row per estimate, plain numbers; a walk that fell is one row without a filter."""
     rows = []
-    for cell, result in outcome.cells.items():
+    for at, result in outcome.cells.items():
         walk = result.walk
         row = {
-            "sequence": cell.scenario.name,
-            "role": cell.scenario.role or "test",
-            "robot": cell.robot,
-            "condition": cell.condition.name,
-            "seed": cell.seed,
+            "sequence": at.scenario.name,
+            "role": at.scenario.role or "test",
+            "robot": at.robot,
+            "condition": at.condition.name,
+            "seed": at.seed,
             "length [m]": walk["length"],
             "duration [s]": walk["duration"],
             "slip [%]": 100.0 * walk["slip_share"],
