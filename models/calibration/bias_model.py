@@ -18,9 +18,7 @@ measured course means, plus one further course as far off as b is within a cours
 are weak evidence for others, and the ground of one section may be all of the next course. The share
 of a course's mean that b explains is subtracted, all of it where tau is infinite.
 
-The mean is zero and not estimated: what all sequences share is persistent as well. Intervals are
-likelihood-ratio intervals (Wilks): all values at which the profile likelihood is within half a
-chi-square quantile of 1 degree of freedom of the maximum.
+The mean is zero and not estimated: what all sequences share is persistent as well.
 """
 
 from __future__ import annotations
@@ -31,7 +29,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from surefoot.models.calibration.regions import conformal_quantile, level_per_axis
 from surefoot.sim.common.errors import SurefootError
@@ -70,10 +67,6 @@ class BiasModel:
         max_error: largest single mixing error (3,) [m/s].
         window: number of errors in the mean.
         variance: c (3,) [m^2/s^2].
-        interval: 95 % interval of c (3, 2).
-        time_constant_interval: 95 % interval of tau (2,) [s].
-        sequences: number of sequences.
-        blocks: number of blocks.
         nu: effective number of draws of b.
     """
 
@@ -85,17 +78,13 @@ class BiasModel:
     max_error: np.ndarray
     window: int
     variance: np.ndarray
-    interval: np.ndarray
-    time_constant_interval: np.ndarray
-    sequences: int
-    blocks: int
     nu: float
 
     def __post_init__(self):
         """Raises ValueError where a value is no number of its kind."""
         for name, shape in _SHAPES.items():
             value = getattr(self, name)
-            sound = np.greater(value, 0) if "time" in name else np.isfinite(value)
+            sound = np.greater(value, 0) if name == "time_constant" else np.isfinite(value)
             if np.shape(value) != shape or not sound.all():
                 raise ValueError(f"persistent.{name} is not {shape} finite numbers")
         for name in ("covariance", "within"):
@@ -111,7 +100,7 @@ class BiasModel:
         """The same in the frame that R (3, 3) maps ours to; bounds become those of the enclosing
         box.
 
-        The intervals remain those of the calibrated axes.
+        c remains that of the calibrated axes.
         """
         return replace(
             self,
@@ -127,17 +116,19 @@ class BiasModel:
         """From JSON, where an infinite time constant is null. Raises TypeError, KeyError or
         ValueError where it is not complete.
         """
-        values = dict(values)
-        values["max_error"] = values.pop("reach")  # its name in the file
+        known = {k: x for k, x in values.items() if k not in _OF_0_1_0}
+        known["max_error"] = known.pop("reach")  # its name in the file
         for name in _SHAPES:
-            value = np.array(values[name], dtype=float)  # null becomes nan
-            values[name] = np.where(np.isnan(value), np.inf, value)
-        values["time_constant"] = float(values["time_constant"])
-        return cls(**values)
+            value = np.array(known[name], dtype=float)  # null becomes nan
+            known[name] = np.where(np.isnan(value), np.inf, value)
+        known["time_constant"] = float(known["time_constant"])
+        return cls(**known)
 
 
+_OF_0_1_0 = ("interval", "time_constant_interval", "sequences", "blocks")
+"""What files of surefoot 0.1.0 have besides."""
 _SHAPES = dict.fromkeys(("epsilon", "max_error", "variance"), (3,))
-_SHAPES |= {"interval": (3, 2), "time_constant": (), "time_constant_interval": (2,)}
+_SHAPES |= {"time_constant": ()}
 _SHAPES |= dict.fromkeys(("covariance", "course", "within"), (3, 3))
 
 
@@ -163,7 +154,7 @@ def estimate_bias_model(
             f"{blocks} blocks of {MIXING_BLOCK:g} s; the persistent part needs {LEAST}"
         )
     y, fresh = np.concatenate(means), np.concatenate([np.arange(len(m)) == 0 for m in means])
-    ratio, variance, tau, interval, tau_interval = _fit(y, fresh, size * dt)
+    ratio, variance, tau = _fit(y, fresh, size * dt)
     nu = sum(1.0 + (0.0 if math.isinf(tau) else len(m) * size * dt / tau) for m in means)
     phi = math.exp(-size * dt / tau)
     correlation = _correlation(y, fresh, phi, nu)
@@ -187,10 +178,6 @@ def estimate_bias_model(
         max_error=np.abs(np.concatenate(mixing)).max(axis=0),
         window=length,
         variance=variance,
-        interval=interval,
-        time_constant_interval=tau_interval,
-        sequences=len(sequences),
-        blocks=blocks,
         nu=float(nu),
     )
 
@@ -201,25 +188,15 @@ def block_means(x: np.ndarray, size: int) -> np.ndarray:
     return x[: count * size].reshape(count, size, x.shape[1]).mean(axis=1)
 
 
-def _fit(y, fresh, step: float):
-    """Maximum-likelihood c / s (3,), c (3,) and tau, and the intervals of c and tau."""
+def _fit(y, fresh, step: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Maximum-likelihood c / s (3,), c (3,) and tau."""
     phi = np.exp(-step / TAUS)[:, None, None]
     s, likelihood = _innovations(y[:, :, None], fresh, RATIOS, phi)
-    c = RATIOS * s
-    allowed = 0.5 * chi2.ppf(0.95, 1)
     by_tau = likelihood.max(axis=2).sum(axis=1)
     # Without a persistent part all tau are equivalent; prefer the longest as the simplest.
     best = len(TAUS) - 1 - int(np.argmax(by_tau[::-1]))
-    kept = TAUS[by_tau >= by_tau.max() - allowed]
-    ratio, variance, interval = np.empty(3), np.empty(3), np.empty((3, 2))
-    for i in range(3):
-        at = int(np.argmax(likelihood[best, i]))
-        ratio[i], variance[i] = RATIOS[at], c[best, i, at]
-        # Profile over the other axes for each tau.
-        joint = likelihood[:, i] + (by_tau - likelihood[:, i].max(axis=1))[:, None]
-        inside = c[:, i][joint >= by_tau.max() - allowed]
-        interval[i] = inside.min(), inside.max()
-    return ratio, variance, float(TAUS[best]), interval, np.array([kept.min(), kept.max()])
+    at, c = likelihood[best].argmax(axis=1), RATIOS * s
+    return RATIOS[at], c[best, range(3), at], float(TAUS[best])
 
 
 def _innovations(y, fresh, ratio, phi):

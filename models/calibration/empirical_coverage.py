@@ -22,8 +22,6 @@ STILL = 0.05
 """Mean speed below which a robot stands [m/s], over the two seconds of STEEP."""
 SHORTEST_STRIDE = 0.2
 """Least time from a touchdown of a foot to its next [s]."""
-FEWEST_ERRORS = 5
-"""Least number of independent errors of a case that may be the worst."""
 QUARTERS = ("first", "second", "third", "last")
 
 ConditionRows = tuple[str, str, np.ndarray]
@@ -89,11 +87,10 @@ def stride_phase(t: np.ndarray, contact: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class EmpiricalCoverage:
-    """Share of errors within their bounds: per_axis (3,), and joint with its 95 % Clopper-Pearson
-    interval (2,) for `n` independent errors.
+    """Share of errors within their bounds on all axes, with its 95 % Clopper-Pearson interval (2,)
+    for `n` independent errors.
     """
 
-    per_axis: np.ndarray
     joint: float
     joint_interval: np.ndarray
     n: int
@@ -120,24 +117,22 @@ def coverage(errors: np.ndarray, bounds: Bounds) -> EmpiricalCoverage:
     n = len(errors) // bounds.K
     if n < 1:
         raise BoundsError(f"{len(errors)} errors are not one independent trial at K = {bounds.K}")
-    inside = np.abs(errors) <= bounds.epsilon
-    joint = float(inside.all(axis=1).mean())
-    return EmpiricalCoverage(inside.mean(axis=0), joint, binomial_interval(joint, n), n)
+    joint = float((np.abs(errors) <= bounds.epsilon).all(axis=1).mean())
+    return EmpiricalCoverage(joint, binomial_interval(joint, n), n)
 
 
 @dataclass(frozen=True)
 class CaseCoverage:
     """Joint coverage of the errors in one case of one condition.
 
-    time: share of all errors; interval (2,) assumes `n` independent ones, the blocks of K samples
-    that contain an error of the case.
+    time: share of all errors; n: independent ones, the blocks of K samples that contain an error of
+    the case.
     """
 
     split: str
     case: str
     time: float
     joint: float
-    interval: np.ndarray
     n: int
 
 
@@ -155,15 +150,8 @@ def coverage_by(
     for split, case, where in walking_conditions(log, rows):
         if where.any():
             n, joint = len(np.unique(block[where])), float(inside[where].mean())
-            interval = binomial_interval(joint, n)
-            found.append(CaseCoverage(split, case, float(where.mean()), joint, interval, n))
+            found.append(CaseCoverage(split, case, float(where.mean()), joint, n))
     return found
-
-
-def worst_case(cases: list[CaseCoverage]) -> CaseCoverage | None:
-    """The case covered least, of those with at least FEWEST_ERRORS independent errors, if any."""
-    counted = [case for case in cases if case.n >= FEWEST_ERRORS]
-    return min(counted, key=lambda case: case.joint, default=None)
 
 
 def binomial_interval(share: float, n: int) -> np.ndarray:

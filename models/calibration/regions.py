@@ -96,11 +96,6 @@ class Region:
             return float(np.prod(2 * self.epsilon))
         return float(4 / 3 * np.pi * np.sqrt(np.linalg.det(self.shape)))
 
-    @property
-    def box(self) -> Region:
-        """The smallest enclosing box, for the filters' update; it covers at least as much."""
-        return Region(self.epsilon)
-
 
 class Calibrator:
     """A calibration method: `fit`, `conformalize`, `bounds`, called once each in that order.

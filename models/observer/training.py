@@ -75,7 +75,8 @@ MOST_ERRORS = 20_000
 """Errors that an observer keeps: enough for their distribution, in half a megabyte."""
 SCHEDULE = ("steps", "batch", "rate", "every", "patience")
 """Settings of the course of a training."""
-TRAINING_FORMAT = "surefoot training state"
+TRAINING_FORMAT = b"surefoot training state\n"
+"""First bytes of a file that has one."""
 
 
 TrainingProgress = Callable[[int, int, np.ndarray], None]
@@ -189,19 +190,21 @@ class Training:
     since: int = 0
 
     def save(self, path: Path, task: str) -> None:
-        """Write the state, replacing an earlier one, whole or not at all; `task` identifies the
-        training.
+        """Write the state, replacing an earlier one, whole or not at all, after its digest; `task`
+        identifies the training.
         """
         values = vars(self) | {
-            "format": TRAINING_FORMAT,
             "task": task,
             "network": self.network.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "rng": json.dumps(self.rng.bit_generator.state),
             "rmse": self.rmse.tolist(),
         }
+        stream = BytesIO()
+        torch.save(values, stream)
+        content = stream.getvalue()
         with kept_file(path) as temporary:
-            temporary.write_bytes(torch_bytes(values | {"sha256": _digest(values)}))
+            temporary.write_bytes(TRAINING_FORMAT + hashlib.sha256(content).digest() + content)
 
     def restore(self, path: Path, task: str) -> bool:
         """Continue from the state at `path`; False where there is none, it is of another task or,
@@ -212,25 +215,23 @@ class Training:
         check_plain(path)
         if not path.exists():
             return False
-        try:
-            values: Any = torch.load(path, map_location="cpu", weights_only=True)
-            if values["format"] != TRAINING_FORMAT:
-                raise ValueError
-            if values["task"] != task:
-                return False
-            if values.pop("sha256", None) != _digest(values):
-                say_made_again(path)
-                return False
-            self.network.load_state_dict(values["network"])
-            self.optimiser.load_state_dict(values["optimiser"])
-            self.rng.bit_generator.state = json.loads(values["rng"])
-            self.best, self.step, self.score = values["best"], values["step"], values["score"]
-            self.rmse, self.since = np.array(values["rmse"]), values["since"]
-        except Exception as error:
-            # torch raises many types here, depending on the file's contents.
+        form, _, rest = path.read_bytes().partition(TRAINING_FORMAT)
+        digest, content = rest[:32], rest[32:]
+        if form or not rest:
             raise ObserverError(
                 f"{path}: not a training that was broken off; move it away, or delete it"
-            ) from error
+            )
+        if digest != hashlib.sha256(content).digest():
+            say_made_again(path)
+            return False
+        values: Any = torch.load(BytesIO(content), map_location="cpu", weights_only=True)
+        if values["task"] != task:
+            return False
+        self.network.load_state_dict(values["network"])
+        self.optimiser.load_state_dict(values["optimiser"])
+        self.rng.bit_generator.state = json.loads(values["rng"])
+        self.best, self.step, self.score = values["best"], values["step"], values["score"]
+        self.rmse, self.since = np.array(values["rmse"]), values["since"]
         return True
 
     def judge(self, score: float, rmse: np.ndarray) -> None:
@@ -239,30 +240,6 @@ class Training:
         if score < self.score:
             self.best = _kept_weights(self.network)
             self.score, self.rmse, self.since = score, rmse, 0
-
-
-def torch_bytes(values: dict[str, Any]) -> bytes:
-    """Serialise plain values as a torch file; equal values give equal bytes, and tensors are on the
-    CPU.
-    """
-
-    def copied(value: Any) -> Any:
-        """Copy with tensors that share no memory, and each object once."""
-        if isinstance(value, torch.Tensor):
-            return value.detach().cpu().clone(memory_format=torch.contiguous_format)
-        if isinstance(value, dict):
-            return {key: copied(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return type(value)(copied(item) for item in value)
-        return value
-
-    stream = BytesIO()  # given a path, torch writes the path's name into the file
-    torch.save(copied(values), stream)
-    return stream.getvalue()
-
-
-def _digest(values: dict[str, Any]) -> str:
-    return hashlib.sha256(torch_bytes(values)).hexdigest()
 
 
 def task_digest(logs: Sequence[ScaledLog], **settings: object) -> str:

@@ -7,9 +7,10 @@ The interval of the statistic is found by resampling strides.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, periodogram, sosfiltfilt
 from scipy.stats import median_abs_deviation
 
 from surefoot.models.calibration.mixing import mixing
@@ -227,11 +228,9 @@ def spectra(walk: WalkView, sensor: str, axis: int | None = None) -> Values:
     if not len(first):
         raise SurefootError("less than a second of walk")
     pieces = reading[first[:, None] + np.arange(n)]
-    window = np.hanning(n)[:, None]
-    pieces = (pieces - pieces.mean(axis=1, keepdims=True)) * window
-    # Pieces are a second long: the density per Hz is that of a bin.
-    power = (np.abs(np.fft.rfft(pieces, axis=1)) ** 2).sum(axis=2)
-    power *= 2.0 / (n * (window**2).sum())
+    # Pieces are a second long, so that bins are 1 Hz apart.
+    window: Any = np.hanning(n)  # scipy's type hints know windows by name alone
+    power = np.asarray(periodogram(pieces, n, window, axis=1)[1]).sum(axis=2)
     found = np.full((len(first), len(FREQUENCIES)), np.nan)
     shown = min(len(FREQUENCIES), power.shape[1] - 1)
     found[:, :shown] = power[:, 1 : shown + 1]

@@ -95,14 +95,11 @@ def _one_line_errors(address: str) -> Iterator[None]:
     from distributed import KilledWorker
     from distributed.client import FutureCancelledError
 
+    faults = OSError, TimeoutError, ValueError, TypeError  # the last of addresses of other schemes
     try:
         yield
-    except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError of other schemes
-        if isinstance(error, SurefootError):
-            raise
+    except SurefootError:
+        raise
+    except (*faults, KilledWorker, FutureCancelledError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise SurefootError(f"cluster {address}: {reason}") from None
-    except KilledWorker as error:
-        raise SurefootError(f"cluster {address}: several workers died on one task") from error
-    except FutureCancelledError as error:
-        raise SurefootError(f"cluster {address}: the scheduler is gone") from error

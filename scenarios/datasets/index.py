@@ -171,13 +171,14 @@ def walk_facts(pieces: Iterable[Log]) -> dict[str, float]:
             creeps.append(float(np.median(dry)))
             weights.append(dry.size)
         length, duration = length + path_length(log.t, log.ref_p), float(log.t[-1])
-    order = np.argsort(creeps)
-    upto = np.cumsum(np.array(weights)[order])
+    creep = np.nan
+    if creeps:
+        creep = float(np.quantile(creeps, 0.5, weights=weights, method="inverted_cdf"))
     return {
         "duration": duration,
         "length": length,
         "slip_share": float(slipping / loaded) if loaded else np.nan,
-        "creep": creeps[order[np.searchsorted(upto, 0.5 * upto[-1])]] if creeps else np.nan,
+        "creep": creep,
     }
 
 

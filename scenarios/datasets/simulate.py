@@ -66,7 +66,10 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     jobs = _jobs(settings, seeds, chosen)
     for name in dict.fromkeys(job.robot for job in jobs):
         if known_robot(name).imu is None:
-            print(_without_imu(name))
+            print(
+                f"note: {name}: its model has no IMU, so the base frame is used instead; in an "
+                "MJCF, a site named imu on the base body places one"
+            )
     for scenario in {job.scenario.name: job.scenario for job in jobs}.values():
         rough = any(strip.rough for strip in scenario.ground.strips)
         if len(seeds) > 1 and scenario.ranges == Ranges() and not rough:
@@ -112,13 +115,6 @@ def simulate(settings: SimulateSettings) -> list[IndexRow]:
     return made
 
 
-def _without_imu(robot: str) -> str:
-    how = "give the base body a site named imu to place one"
-    if robot.endswith(".urdf"):
-        how = "a URDF has no sites; in an MJCF a site named imu on the base body places one"
-    return f"note: {robot}: its model has no IMU, so the base frame is used instead; {how}"
-
-
 def _jobs(settings: SimulateSettings, seeds: range, effects: tuple[Effect, ...]) -> list[Job]:
     """The walks of a dataset: each scenario with each seed, with these effects."""
     if not settings.scenarios:
@@ -140,19 +136,18 @@ def _jobs(settings: SimulateSettings, seeds: range, effects: tuple[Effect, ...])
 
 
 def _guard_truth(out: Path, hidden: tuple[Effect, ...], journal: Journal, force: bool) -> None:
-    """Write undeclared effects to truth.toml; refuse a folder whose logs have other effects."""
+    """Write undeclared effects to truth.toml; refuse a folder whose logs have others, or none."""
     truth = out / "truth.toml"
-    if truth.exists() and not hidden:
-        raise SurefootError(f"{out}: holds logs with undeclared effects; give another folder")
-    if hidden and not truth.exists() and journal.rows:
-        raise SurefootError(f"{out}: holds logs without undeclared effects; give another folder")
-    text = f"{to_toml(hidden)}\n# made with code {code_digest(*map(type, hidden))}\n"
-    if hidden and truth.exists() and not force and bounded_text(truth) != text:
+    before = bounded_text(truth) if truth.exists() else ""
+    text = (
+        f"{to_toml(hidden)}\n# made with code {code_digest(*map(type, hidden))}\n" if hidden else ""
+    )
+    if (before or journal.rows) and before != text and not (force and before and text):
         raise SurefootError(
-            f"{truth}: holds other effects, or other code of them; give another folder, or "
-            f"{force_option()}"
+            f"{out}: holds logs with other undeclared effects, with none, or made by other code of "
+            f"them; give another folder{f', or {force_option()}' if before and text else ''}"
         )
-    if hidden and (force or not truth.exists()):
+    if text and before != text:
         write_whole(truth, text, force)
 
 

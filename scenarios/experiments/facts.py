@@ -7,7 +7,6 @@ import numpy as np
 import pandas as pd
 
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.models.calibration.empirical_coverage import binomial_interval
 from surefoot.models.observer.samples import body_velocity
 from surefoot.scenarios.estimate.contract import Learnt
 from surefoot.scenarios.estimate.error_series import error_series
@@ -23,7 +22,7 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
     """Metrics of an estimate, time per step, trustworthiness, and statistics of the velocities
     used.
 
-    The latter are mean error (3,), standard deviation (3,), and share within the bounds. Bounds on
+    The latter are mean error (3,), and share within the bounds. Bounds on
     other quantities than a velocity, such as the mean of a window with a persistent part, are not
     evaluated here.
     """
@@ -37,13 +36,12 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
         return facts
     v_I, measured = body_velocity(log, np.searchsorted(log.t, updates.t - 1e-6))
     errors = (updates.v_I - v_I)[measured]
-    facts |= {"fed_mean": errors.mean(axis=0).tolist(), "fed_spread": errors.std(axis=0).tolist()}
+    facts["fed_mean"] = errors.mean(axis=0).tolist()
     if updates.epsilon is not None and hasattr(estimator_named(result.filter), "bounded_by"):
         share = float(np.all(np.abs(errors) <= updates.epsilon[measured], axis=1).mean())
         # Successive errors are not independent; those K steps apart are.
         n = max(len(errors) // max(bounds.K for bounds in learnt.bounds), 1)
-        low, high = binomial_interval(share, n)
-        facts |= {"coverage": share, "coverage_low": low, "coverage_high": high, "coverage_n": n}
+        facts |= {"coverage": share, "coverage_n": n}
     return facts
 
 

@@ -74,10 +74,9 @@ LEARNT_BY = ("walks", "inputs", "method")
 
 @dataclass(frozen=True)
 class Sweep:
-    """Further gammas, for the filters that use bounds, on some of the seeds."""
+    """Further gammas, for the filters that use bounds, on the first seed."""
 
-    gammas: tuple[Level, ...] = ()
-    seeds: tuple[Seed, ...] = ()
+    gammas: tuple[Level, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +99,7 @@ class Grid:
     filters: tuple[str, ...] = field(default_factory=lambda: tuple(ESTIMATORS))
     published: str | None = None
     further: tuple[Learning, ...] = ()
-    sweep: Sweep = field(default_factory=Sweep)
+    sweep: Sweep = Sweep(())
 
 
 @dataclass(frozen=True)
@@ -132,11 +131,6 @@ class Experiment(Grid):
         with errors_in(f"experiment {path}"):
             return _experiment(typed(table, _File), path)
 
-    def with_seeds(self, seeds: tuple[int, ...]) -> "Experiment":
-        """The same with other seeds; the sweep keeps those of its own that are among them."""
-        kept = tuple(s for s in self.sweep.seeds if s in seeds) or seeds[:1]
-        return replace(self, seeds=seeds, sweep=replace(self.sweep, seeds=kept))
-
     @property
     def learnings(self) -> tuple[Learning, ...]:
         """`learning`, which the main tables show, first."""
@@ -165,7 +159,7 @@ class Experiment(Grid):
         """Levels of the bounds; those of the sweep apply to the first learning only."""
         if learning != self.learning:
             return self.gammas[:1]
-        more = self.sweep.gammas if seed in self.sweep.seeds else ()
+        more = self.sweep.gammas if seed == self.seeds[0] else ()
         return tuple(dict.fromkeys((*self.gammas, *more)))
 
     def robots_of(self, scenario: Scenario) -> tuple[str, ...]:
@@ -235,8 +229,6 @@ class _File(Grid):
             values = getattr(self, key)
             if values is not None:
                 _each_once(key, values)
-        if self.sweep.seeds and not self.sweep.gammas:
-            raise SurefootError("[sweep] gammas is missing")
         for name in self.filters:
             with errors_in("filters"):
                 check_filter(name)
@@ -261,8 +253,7 @@ def _experiment(file: _File, path: Path) -> Experiment:
         for robot in file.robots or (str(scenario.robot),):
             known_robot(robot)
     conditions = tuple(c.condition(path.parent) for c in file.condition) or (PLAIN,)
-    sweep = replace(file.sweep, seeds=file.sweep.seeds or (0,)) if file.sweep.gammas else Sweep()
-    grid = {one.name: getattr(replace(file, sweep=sweep), one.name) for one in fields(Grid)}
+    grid = {one.name: getattr(file, one.name) for one in fields(Grid)}
     found = Experiment(file.title or path.stem, scenarios, file.observer, conditions, **grid)
     _check(found)
     return found
@@ -281,5 +272,3 @@ def _check(found: Experiment) -> None:
     with errors_in("[[further]]"):
         ways = [tuple(getattr(one, name) for name in LEARNT_BY) for one in found.learnings]
         _each_once(f"{', '.join(LEARNT_BY)} of it and of [observer]", ways)
-    if not set(found.sweep.seeds) <= set(found.seeds):
-        raise SurefootError("[sweep] seeds must be among seeds")

@@ -5,6 +5,7 @@
 # (pandas' stubs take a selection for any of several types)
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from shutil import copyfile
 
@@ -69,7 +70,7 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     if settings.workers < 1:
         raise SurefootError(f"workers {settings.workers}: at least 1")
     if settings.seeds is not None:
-        found = found.with_seeds(tuple(seed_range(settings.seeds)))
+        found = replace(found, seeds=tuple(seed_range(settings.seeds)))
     if (out / "report.html").exists() and not force:
         raise SurefootError(f"{out}: has a finished run; give {force_option()} to write it again")
     names = "results.csv", "results.parquet", "averages.csv", "table.md", "report.html"
@@ -95,9 +96,9 @@ def experiment(file: str | Path, settings: GridSettings) -> pd.DataFrame:
     print("\n" + in_terminal(tables["averages"]))
     for name, why in outcome.left_out.items():
         print(f"left out: {name} ({why})")
-    for cell, result in outcome.cells.items():
-        if result.walk["falls"]:
-            print(f"fell: {cell.scenario.name}, {cell.condition.name}, seed {cell.seed}")
+    for condition in found.conditions:
+        if said := falls(outcome, condition.name):
+            print(f"{condition.name}: {said}")
     print(f"\nreport: {out / 'report.html'}")
     return rows
 

@@ -94,16 +94,9 @@ class Outcome:
     @property
     def left_out(self) -> dict[str, str]:
         """Filter -> why it was left out on a walk."""
-        fell = {
-            cell.group: f"{cell.condition.name}: the walk to {cell.scenario.role} with fell"
-            for cell, one in self.cells.items()
-            if cell.learnt_from and one.walk["falls"]
-        }
         reasons: dict[str, dict[str, None]] = {}
-        for cell, one in self.cells.items():
+        for one in self.cells.values():
             for name, why in one.left_out.items():
-                learns = estimator_named(name.partition(",")[0]).needs.learnt
-                why = fell.get(cell.group, why) if learns else why
                 reasons.setdefault(name, {})[why] = None
         return {name: "; ".join(why) for name, why in reasons.items()}
 

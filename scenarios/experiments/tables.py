@@ -15,7 +15,7 @@ from surefoot.scenarios.experiments.catalog import SUITES_FOLDER
 from surefoot.scenarios.experiments.file import LEARNT_BY, Experiment
 from surefoot.scenarios.experiments.findings import suite_overview
 from surefoot.scenarios.experiments.run import Outcome
-from surefoot.scenarios.reporting.tables import METRICS
+from surefoot.scenarios.reporting.tables import METRICS, cell
 from surefoot.sim.common.errors import check_known
 from surefoot.sim.common.toml import read_toml
 
@@ -30,8 +30,6 @@ HELD = "coverage [%]"
 SHOWN_COLUMNS = [name for name in MEANINGS if name in TABLE_METRICS or name == HELD]
 SHOWN_COLUMNS.insert(1, SHARE)
 """Order of the columns for averages and sequences."""
-SWEEP_COLUMNS = [c for c in SHOWN_COLUMNS if c not in ("RPE_rot [deg/m]", "NEES_att", "step [us]")]
-"""Columns of the table by gamma."""
 TABLE_MEANINGS = {
     **MEANINGS,
     HELD: "share of velocity errors jointly inside the bounds, with a 95 % interval; not given "
@@ -45,14 +43,14 @@ TABLE_MEANINGS = {
 def tidy(outcome: Outcome) -> pd.DataFrame:
     """One row per estimate, plain numbers; a walk that fell is one row without a filter."""
     rows = []
-    for cell, result in outcome.cells.items():
+    for at, result in outcome.cells.items():
         walk = result.walk
         row = {
-            "sequence": cell.scenario.name,
-            "role": cell.scenario.role or "test",
-            "robot": cell.robot,
-            "condition": cell.condition.name,
-            "seed": cell.seed,
+            "sequence": at.scenario.name,
+            "role": at.scenario.role or "test",
+            "robot": at.robot,
+            "condition": at.condition.name,
+            "seed": at.seed,
             "length [m]": walk["length"],
             "duration [s]": walk["duration"],
             "slip [%]": 100.0 * walk["slip_share"],
@@ -64,8 +62,7 @@ def tidy(outcome: Outcome) -> pd.DataFrame:
             values = {name: facts.get(key, np.nan) for name, key in TABLE_METRICS.items()}
             values[LOST_FROM] = facts.get("lost_from", np.nan)
             values[SHARE] = 100.0 * facts.get("ape_trans", np.nan) / walk["length"]
-            for name in ("coverage", "coverage_low", "coverage_high"):
-                values[f"{name} [%]"] = 100.0 * facts.get(name, np.nan)
+            values[HELD] = 100.0 * facts.get("coverage", np.nan)
             values["coverage_n"] = facts.get("coverage_n", 0)
             for k, axis in enumerate("xyz"):
                 values[f"fed_mean_{axis} [m/s]"] = facts.get("fed_mean", [np.nan] * 3)[k]
@@ -139,7 +136,7 @@ def per_sequence(rows: pd.DataFrame) -> pd.DataFrame:
 
 def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     """Averages over test sequences by gamma, for the seeds that were run at every gamma."""
-    seeds = experiment.sweep.seeds or experiment.seeds
+    seeds = experiment.seeds[:1] if experiment.sweep.gammas else experiment.seeds
     first = {key: value for key, value in experiment.first.items() if key != "gamma"}
     mine = rows[rows["gamma"].notna() & (rows["role"] == "test") & rows["seed"].isin(seeds)]
     mine = _of(mine, first)
@@ -147,7 +144,7 @@ def sweep(rows: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
     for (condition, name), part in mine.groupby(["condition", "filter"], sort=False):
         for gamma, at in part.groupby("gamma"):
             row = {"condition": condition, "filter": name, "gamma": gamma}
-            found.append(row | {c: _held(at) if c == HELD else at[c].mean() for c in SWEEP_COLUMNS})
+            found.append(row | {c: _held(at) if c == HELD else at[c].mean() for c in SHOWN_COLUMNS})
     return pd.DataFrame(found)
 
 
@@ -188,14 +185,8 @@ def with_spread(values: pd.Series) -> str | None:
     values = values.dropna()
     if values.empty:
         return None
-    mean = float(values.mean())
-    spread = f" ± {_rounded(float(values.std(ddof=1)), mean)}" if len(values) > 1 else ""
-    return _rounded(mean, mean) + spread
-
-
-def _rounded(value: float, scale: float) -> str:
-    digits = 3 if abs(scale) < 10 else 2 if abs(scale) < 100 else 1 if abs(scale) < 1000 else 0
-    return f"{value:.{digits}f}"
+    spread = f" ± {cell(float(values.std(ddof=1)))}" if len(values) > 1 else ""
+    return cell(float(values.mean())) + spread
 
 
 def _marked(found: list[dict[str, object]], order: list[str]) -> pd.DataFrame:

@@ -17,7 +17,6 @@ from surefoot.models.calibration.empirical_coverage import (
     bounded_errors,
     coverage,
     coverage_by,
-    worst_case,
 )
 from surefoot.models.calibration.regions import CONFIDENCE, BoundsError, Region, calibrator
 from surefoot.models.observer.observer import Observer, log_digest
@@ -207,9 +206,6 @@ def methods_table(
             rows.append(row | {"note": str(error)})
             continue
         rows.append(row | _region_row(region, bounds, judged, how.label))
-        if region.shape is not None:
-            box = _region_row(region.box, bounds, judged, "the box that filters use")
-            rows.append({"method": f"{method}, its box", "errors": len(chosen)} | box)
     return pd.DataFrame(rows)
 
 
@@ -230,7 +226,7 @@ def _region_row(
 def sequence_table(
     calibration: Sequence[CalibratedWalk], others: Sequence[CalibratedWalk]
 ) -> pd.DataFrame:
-    """One row per walk: coverage with interval, the worst case, and the distance."""
+    """One row per walk: coverage with interval, and the distance."""
     rows: list[dict[str, object]] = []
     for walk in (*calibration, *others):
         row: dict[str, object] = {"walk": walk.log.name, "role": walk.role}
@@ -245,12 +241,10 @@ def _held(walk: CalibratedWalk) -> dict[str, object]:
     found = coverage(walk.errors, walk.bounds)
     low, high = found.joint_interval
     lost, gamma = high < walk.bounds.gamma, walk.bounds.gamma
-    worst = worst_case(coverage_by(walk.log, walk.rows, walk.errors, walk.bounds))
     return {
         "coverage [%]": percent(found.joint),
         "95 % interval": f"{100 * low:.0f}–{100 * high:.0f}",
         "bounds": "lost" if lost else "hold" if found.joint >= gamma else "not significant",
-        "worst case": "–" if worst is None else f"{worst.case} {100 * worst.joint:.0f} %",
     }
 
 

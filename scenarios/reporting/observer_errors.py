@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from surefoot.models.calibration.error_statistics import AxisErrors, error_statistics
+from surefoot.models.calibration.error_statistics import ErrorStatistics, error_statistics
 from surefoot.models.calibration.mixing import Mixing
 from surefoot.models.observer.samples import RATE
 from surefoot.scenarios.estimate.error_series import NAMED_AXES
@@ -49,8 +49,9 @@ def error_section(
     words = (
         f"The bound |error| <= {x:.3f}, {y:.3f}, {z:.3f} m/s on all axes at once, meant for "
         f"{100 * gamma:g} %, holds for {shares[0]:.1f} % of the errors in training and for "
-        f"{shares[1]:.1f} % on {where}.\n\nShapes are tested at p < {LEVEL:g} on errors far enough "
-        "apart to be independent; with few of them a departure from a Gaussian may go undetected."
+        f"{shares[1]:.1f} % on {where}.\n\nShape and bias are of errors far enough apart to be "
+        f"independent. A Gaussian is rejected at p < {LEVEL:g} (D'Agostino and Pearson); with few "
+        "errors a departure from it may go undetected."
     )
     pictures = (
         Picture(
@@ -67,34 +68,23 @@ def error_section(
     return Section(f"The observer's errors: training and {where}", words, rows, pictures)
 
 
-def error_table(found: Sequence[AxisErrors], where: str) -> list[dict[str, object]]:
-    """One row per axis; p-values are of normality."""
+def error_table(found: ErrorStatistics, where: str) -> list[dict[str, object]]:
+    """One row per axis."""
     return [
         {
             "errors": where,
             "axis": word,
-            "bias [m/s]": f"{e.mean:+.4f} ({e.interval[0]:+.4f} to {e.interval[1]:+.4f})",
-            "std [m/s]": e.std,
-            "skewness": e.skewness,
-            "excess kurtosis": e.kurtosis,
-            "beyond 3 std [%]": 100 * e.beyond,
-            "p D'Agostino": e.normal_p,
-            "p Anderson-Darling": e.anderson_p,
-            "a Gaussian is": _gaussian(e),
-            "independent": e.thinned,
+            "bias [m/s]": f"{found.mean[k]:+.4f} ± {found.half_width[k]:.4f}",
+            "std [m/s]": found.std[k],
+            "skewness": found.skewness[k],
+            "excess kurtosis": found.kurtosis[k],
+            "beyond 3 std [%]": 100 * found.beyond[k],
+            "p of a Gaussian": found.normal_p[k],
+            "a Gaussian is": "rejected" if found.normal_p[k] < LEVEL else "not rejected",
+            "independent": found.independent,
         }
-        for (_, word), e in zip(NAMED_AXES, found, strict=True)
+        for k, (_, word) in enumerate(NAMED_AXES)
     ]
-
-
-def _gaussian(e: AxisErrors) -> str:
-    """Whether a Gaussian is rejected, and by what shape."""
-    ways = ["skewed"] if e.skewness_p < LEVEL else []
-    if e.kurtosis_p < LEVEL:
-        ways.append("heavy tails" if e.kurtosis > 0 else "light tails")
-    if min(e.normal_p, e.anderson_p) < LEVEL:
-        return ": ".join(filter(None, ("rejected", ", ".join(ways))))
-    return "not rejected"
 
 
 def error_distributions(

@@ -21,11 +21,9 @@ BEFORE, AFTER = "#8C8C8C", "#0072B2"
 
 _LEG_COLORS = {"FL": "#DDAA33", "FR": "#CC6677", "RL": "#44AA99", "RR": "#AA66CC"}
 
-_STYLES = {"leg (declared model)": ("#8CBBEA", "--"), "leg (effect added)": ("#2F86D1", "-")}
-"""In addition to the estimators, which have their own: one estimator under two models."""
 _SIDES = {"before": "--", "after": "-"}
+"""Lines of one estimator under two models."""
 _SPARE_COLORS = ("#AA4499", "#5B6BC0", "#6B8E23", "#A0522D", "#C71585", "#20868F")
-_SPARE_STYLES = ("-", "--", "-.", ":")
 
 
 def estimator_color(name: str) -> str:
@@ -35,7 +33,7 @@ def estimator_color(name: str) -> str:
     every run.
     """
     name, _ = _side(name)
-    return _style(name)[0] or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
+    return traits(name).color or _SPARE_COLORS[crc32(name.encode()) % len(_SPARE_COLORS)]
 
 
 def estimator_line(name: str) -> str:
@@ -43,20 +41,13 @@ def estimator_line(name: str) -> str:
     name, side = _side(name)
     if side:
         return _SIDES[side]
-    spare = crc32(name.encode()) // len(_SPARE_COLORS) % len(_SPARE_STYLES)
-    return _style(name)[1] or _SPARE_STYLES[spare]
+    return traits(name).line or "-"
 
 
 def estimator_look(name: str, note: str = "") -> dict[str, Any]:
     """Colour, line style and label of the estimator `name`, with a note, for `Axes.plot`."""
     label = name + (f" ({note})" if note else "")
     return {"color": estimator_color(name), "linestyle": estimator_line(name), "label": label}
-
-
-def _style(name: str) -> tuple[str, str]:
-    """Colour and line that an estimator declares; empty if it declares none."""
-    own = traits(name)
-    return _STYLES.get(name, (own.color, own.line))
 
 
 def _side(name: str) -> tuple[str, str]:

@@ -159,7 +159,7 @@ def _is_number(value: object) -> bool:
     """
     if isinstance(value, str):
         one = r"[-+]?[\d.]+(e[-+]?\d+)?"
-        number = rf"(\*\*)?{one}( ± [\d.]+)?( \([\d.–-]+\))?( → {one})?(\*\*)?"
+        number = rf"(\*\*)?{one}( ± {one})?( \([\d.–-]+\))?( → {one})?(\*\*)?"
         return re.fullmatch(number, value) is not None
     return isinstance(value, Real) and not isinstance(value, bool)
 

@@ -1,9 +1,10 @@
 """Influence of the effects found on each filter: its errors without and with them in the model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -11,7 +12,7 @@ from scipy.stats import ttest_1samp
 
 from surefoot.estimator.evaluation.health import summary_of_run
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import SEGMENT, Metrics, align_first, evaluate, matched, path_length
+from surefoot.estimator.metrics import SEGMENT, align_first, evaluate, matched, path_length
 from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.noise_floor import FloorWalk
 from surefoot.models.residuals.binning import at_rows
@@ -42,20 +43,24 @@ DEAD_RECKONING = "dead_reckoning"
 
 
 @dataclass(frozen=True)
-class BeforeAfter:
-    """One filter on a part of a log, with the declared model and with the effects compensated.
-
-    Pairs are (before, after). drift: error of the last position over the length of the path [m/m].
-    lost: why the estimate should not be trusted; "" if it can be.
+class FilterRun:
+    """An estimate of a part of a log, its errors (REPORTED), and why it should not be trusted; ""
+    if it can be.
     """
+
+    estimate: Trajectory
+    errors: dict[str, float]
+    lost: str
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """One filter on a part of a log, with the declared model and with the effects compensated."""
 
     filter: str
     log: Log
-    before: Trajectory
-    after: Trajectory
-    metrics: tuple[Metrics, Metrics]
-    drift: tuple[float, float]
-    lost: tuple[str, str] = ("", "")
+    before: FilterRun
+    after: FilterRun
 
 
 @dataclass(frozen=True)
@@ -75,65 +80,75 @@ class DriftCauses:
 
 
 def before_and_after(
-    log: Log, robot: Machine, effects: Sequence[Effect], learnt: Learnt, begin: float, end: float
-) -> list[BeforeAfter]:
-    """Run every filter for which log and `learnt` suffice on a part of a log, without and with
-    effects.
+    cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt, share: float
+) -> tuple[BeforeAfter, ...]:
+    """Run every filter for which log and `learnt` suffice on the last `share` (0 to 1) of each log,
+    without and with effects, from the reference at the first row.
 
-    Filters start from the reference at the part's first row. Returns nothing if the part is too
-    short. The whole log is compensated before the part is taken, since some effects depend on the
-    time since the log began.
-
-    Args:
-        log: the measured log.
-        robot: as declared. Filters run without a robot on the feet that a log gives.
-        effects: to compensate.
-        learnt: observers and bounds.
-        begin: of the part, in the log's time [s].
-        end: of the part [s].
+    Omits logs of machines on a fixed base or without an IMU, on which no filter runs, those without
+    a reference, which cannot be evaluated, and parts that are too short.
     """
-    compensated, corrected = compensate_all(effects, log, robot)
-    plain_part, compensated_part = stretch(log, begin, end), stretch(compensated, begin, end)
-    if plain_part is None or compensated_part is None:
-        return []
     done = []
-    for name in ESTIMATORS:
-        try:
-            before = filtered(name, plain_part, robot, learnt)
-            after = filtered(name, compensated_part, corrected, learnt) if effects else before
-        except SurefootError:  # the log or `learnt` lacks an input of this filter
+    for case in cases:
+        t = case.log.t
+        ends = t[0] + (1 - share) * (t[-1] - t[0]), t[-1]
+        if case.fixed or not (case.log.has("imu") and case.log.has("reference")):
             continue
-        why = doubts(name, plain_part, robot, before)
-        why_after = doubts(name, compensated_part, corrected, after)
-        done.append(_compared(name, plain_part, before, after, (why, why_after)))
-    # Leg filters first, since a better model of the legs affects them most.
-    of_filter = {one.filter: traits(one.filter) for one in done}
-    done.sort(key=lambda one: of_filter[one.filter].variant or not of_filter[one.filter].of_legs)
-    stands = plain_part.has("contact") and plain_part.contact.any()
-    feet, changed = shown_feet(plain_part, robot.feet), corrected.feet
-    if stands and feet is not None and changed is not None:
-        before = dead_reckoned(plain_part, feet)
-        after = dead_reckoned(compensated_part, changed)
-        done.append(_compared(DEAD_RECKONING, plain_part, before, after))
-    return done
+        before = _estimates(case, (), *ends, ESTIMATORS, learnt)
+        after = _estimates(case, effects, *ends, ESTIMATORS, learnt) if effects else before
+        if before is None or after is None:
+            continue
+        truth, sides = reference(before.log), (before, after)
+        # Leg filters first, since a better model of the legs affects them most.
+        names = [name for name in before.found if name in after.found]
+        names.sort(key=lambda name: traits(name).variant or not traits(name).of_legs)
+        for name in names:
+            runs = [_run(name, truth, one) for one in sides]
+            done.append(BeforeAfter(name, before.log, *runs))
+    return tuple(done)
 
 
-def _compared(
-    name: str, log: Log, before: Trajectory, after: Trajectory, lost: tuple[str, str] = ("", "")
-) -> BeforeAfter:
-    """Compare both estimates with the reference.
+class _Estimates(NamedTuple):
+    """A part of a log with effects compensated, its model, and the estimates by filter."""
 
-    Args:
-        name: of the filter.
-        log: the part of the log.
-        before: estimate with the declared model.
-        after: estimate with the effects compensated.
-        lost: as in `BeforeAfter`.
+    log: Log
+    robot: Machine
+    found: dict[str, Trajectory]
+
+
+def _estimates(
+    case: LogUnderModel,
+    effects: Sequence[Effect],
+    begin: float,
+    end: float,
+    names: Iterable[str],
+    learnt: Learnt,
+) -> _Estimates | None:
+    """Estimates by filters and, where feet stand, by dead reckoning, as far as they run, on the
+    part of a log from `begin` to `end` [s] with these effects; None if it is too short.
+
+    The whole log is compensated before the part is taken, since some effects depend on the time
+    since the log began.
     """
-    truth = reference(log)
-    metrics = evaluate(truth, before), evaluate(truth, after)
-    drifts = drift(truth, before), drift(truth, after)
-    return BeforeAfter(name, log, before, after, metrics, drifts, lost)
+    log, robot = compensate_all(effects, case.log, case.robot)
+    part, found = stretch(log, begin, end), {}
+    if part is None:
+        return None
+    for name in names:
+        with suppress(SurefootError):  # the log or `learnt` lacks an input of this filter
+            found[name] = filtered(name, part, robot, learnt)
+    feet = shown_feet(part, robot.feet)
+    if feet is not None and part.has("contact") and part.contact.any():
+        found[DEAD_RECKONING] = dead_reckoned(part, feet)
+    return _Estimates(part, robot, found)
+
+
+def _run(name: str, truth: Trajectory, side: _Estimates) -> FilterRun:
+    """One of the estimates, judged by the truth."""
+    estimate = side.found[name]
+    errors = vars(evaluate(truth, estimate)) | {"drift": drift(truth, estimate)}
+    lost = "" if name == DEAD_RECKONING else doubts(name, side.log, side.robot, estimate)
+    return FilterRun(estimate, {key: errors[key] for key in REPORTED}, lost)
 
 
 def drift(truth: Trajectory, estimate: Trajectory) -> float:
@@ -200,17 +215,13 @@ def _judges(case: LogUnderModel) -> bool:
 def _by_legs(
     case: LogUnderModel, compensated: Sequence[Effect], begin: float, end: float
 ) -> tuple[Trajectory, dict[str, Trajectory]]:
-    """Reference, and estimates by leg odometry and by the leg filter, as far as they run, on the
-    part of a log from `begin` to `end` [s] with these effects compensated.
+    """Reference, and estimates by leg odometry and by the leg filter, if it runs, on the part of a
+    log from `begin` to `end` [s] with these effects compensated; none where no foot stands.
     """
-    log, robot = compensate_all(compensated, case.log, case.robot)
-    part, feet, tried = stretch(log, begin, end), shown_feet(log, robot.feet), {}
-    if part is None or feet is None or not (part.has("contact") and part.contact.any()):
-        return reference(log), tried
-    tried[DEAD_RECKONING] = dead_reckoned(part, feet)
-    with suppress(SurefootError):  # the log lacks an input of the filter
-        tried["leg"] = filtered("leg", part, robot, Learnt())
-    return reference(part), tried
+    tried = _estimates(case, compensated, begin, end, ("leg",), Learnt())
+    if tried is None or DEAD_RECKONING not in tried.found:
+        return reference(case.log), {}
+    return reference(tried.log), tried.found
 
 
 def dead_reckoned(log: Log, feet: Feet) -> Trajectory:
@@ -323,9 +334,9 @@ def mean_metrics(stretches: Sequence[BeforeAfter]) -> dict[str, dict[str, dict[s
     means: dict[str, dict[str, dict[str, float]]] = {}
     for name in dict.fromkeys(one.filter for one in stretches):
         of_filter = [one for one in stretches if one.filter == name]
-        for i, side in enumerate(("before", "after")):
-            rows = [vars(one.metrics[i]) | {"drift": one.drift[i]} for one in of_filter]
+        for side in ("before", "after"):
+            errors = [getattr(one, side).errors for one in of_filter]
             means.setdefault(name, {})[side] = {
-                key: float(np.mean([row[key] for row in rows])) for key in REPORTED
+                key: float(np.mean([one[key] for one in errors])) for key in REPORTED
             }
     return means

@@ -21,7 +21,7 @@ from surefoot.scenarios.reporting.html import Picture, Section, markdown_report
 from surefoot.scenarios.reporting.pages import origin_of, write_page, write_results
 from surefoot.scenarios.reporting.tables import METRICS
 from surefoot.scenarios.settings import LoopSettings
-from surefoot.scenarios.trace.report import caution, channel_row
+from surefoot.scenarios.trace.report import caution
 from surefoot.scenarios.viewer.recording import RecordedWalk, write_recording
 from surefoot.sim.common.files import write_whole
 from surefoot.sim.effects import Effect
@@ -92,13 +92,14 @@ def write_loop(
     missing = f"Observers are missing: {reason}." if reason else ""
     findings = loop_findings(found, table, [step.name for step in steps])
     words = " ".join(filter(None, (findings, _distrusted(steps), missing)))
+    because = " ".join(f"Because {why}." for why in found["reasons"])
     sections = [
         Section("Findings", words, table.filter(regex="^(filter|APE_trans|NEES_pos)")),
         *_pictures(shown, steps, drawn),
         Section("Method", _method(steps)),
         Section("Errors of every filter", "", table, file="table"),
         *_of_observers(observers),
-        *_of_trace(found),
+        Section("The trace", f"{because} The full report is trace/report.html.".strip()),
     ]
     write_results(out, LOOP_TITLE, sections, force=True)
     if settings.page:
@@ -186,17 +187,6 @@ def _of_observers(observers: pd.DataFrame) -> list[Section]:
         "the share of all errors within the bounds, mean of both ends."
     )
     return [] if observers.empty else [Section("Observers", words, observers, file="observers")]
-
-
-def _of_trace(found: dict[str, Any]) -> list[Section]:
-    """Sections on the channels of a trace.json, of the held-out logs where there are any."""
-    words = " ".join(f"Because {why}." for why in found["reasons"])
-    whole = Section("The trace", f"{words} The full report is trace/report.html.".strip())
-    held_out = found.get("holdout", {})
-    unseen = "Logs" if held_out else "Blocks of the log"
-    rows = [channel_row(*one) for one in held_out.get("channels", found["channels"]).items()]
-    residuals = Section("Residuals", f"{unseen} that no fit uses.", rows, file="residuals")
-    return [whole, *([residuals] if rows else [])]
 
 
 def loop_findings(found: dict[str, Any], table: pd.DataFrame, steps: Sequence[str]) -> str:

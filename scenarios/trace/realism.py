@@ -123,7 +123,7 @@ def realism(
         compare_walks(log, robot, one, seed, lambda done, k=k: progress((k + done) / parts))
         for k, one in enumerate(compared)
     ]
-    drifts = drift_table(found)
+    drifts = [drift_row(one) for one in found]
     rows = [{"walk": c.words, **asdict(r)} for c in found for r in c.card.rows]
     walker_name = found[0].simulated[0].robot.name
     title = f"Realism: {log.name} beside simulated walks of {walker_name}"
@@ -245,10 +245,9 @@ def findings(found: Sequence[WalkComparison], drifts: Sequence[Mapping[str, Any]
         f"like {of.measured.log.name} in "
         f"{', '.join(f'{like} and unlike in {unlike} ({w})' for like, unlike, w in counts)}."
     )
-    first = {row["simulated robot"]: row for row in reversed(drifts)}
-    ratios = [f"{first[c.words]['ratio']:.2f} ({c.words})" for c in found]
+    ratios = [f"{row['ratio']:.2f} ({row['simulated robot']})" for row in drifts]
     rest = [
-        f"The `{FILTER}` filter drifts by {first[of.words]['measured']:.3f} m/m on the measured "
+        f"The `{FILTER}` filter drifts by {drifts[0]['measured']:.3f} m/m on the measured "
         f"walk; on simulated walks, by {', '.join(ratios)} times as much."
     ]
     for one in found:
@@ -328,31 +327,18 @@ def beyond_simulated(
     )
 
 
-def drift_table(found: Sequence[WalkComparison]) -> list[dict[str, Any]]:
-    """RPE of the leg filter over 1 m [m/m], NaN where it diverged: one row per simulated robot with
-    feet as in the measured log's model and, if different, with the foot radius of the robot's file.
+def drift_row(one: WalkComparison) -> dict[str, Any]:
+    """RPE of the leg filter over 1 m [m/m] on each walk, NaN where it diverged, with feet as in the
+    measured log's model.
     """
-    rows = []
-    for one in found:
-        robots = [view.robot for view in (one.measured, *one.simulated)]
-        in_file = [replace(r, foot_radius=Robot.load(r.file).foot_radius) for r in robots]
-        rows.append(_drift_row(one, "as declared", robots))
-        if not np.allclose(in_file[0].foot_radius, robots[0].foot_radius):
-            rows.append(_drift_row(one, "as in the robot's file", in_file))
-    return rows
-
-
-def _drift_row(one: WalkComparison, feet: str, robots: Sequence[Robot]) -> dict[str, Any]:
-    """The drift with one model of the feet for each walk, the measured one's first."""
     views = (one.measured, *one.simulated)
-    runs = [run_filter(FILTER, v.log, r).metrics for v, r in zip(views, robots, strict=True)]
+    runs = [run_filter(FILTER, view.log, view.robot).metrics for view in views]
     measured, *simulated = [run.rpe_trans if run else np.nan for run in runs]
-    radii = [f"{1e3 * robot.foot_radius.mean():.0f} mm" for robot in robots[:2]]
-    model = radii[0] if radii[0] == radii[1] else f"{radii[0]}, {radii[1]} in simulation"
+    radii = dict.fromkeys(f"{1e3 * view.robot.foot_radius.mean():.0f}" for view in views)
     ratio, low, high = ratio_of_drifts(measured, simulated)
     return {
         "simulated robot": one.words,
-        "model of the feet": f"{feet}: {model}",
+        "radius of the feet [mm]": ", in simulation ".join(radii),
         "measured": measured,
         "simulated": float(np.mean(simulated)),
         "each walk": ", ".join(f"{x:.3f}" for x in simulated),

@@ -28,8 +28,6 @@ def pictures(measured: WalkView, simulated: Mapping[str, Sequence[WalkView]]) ->
         "Speed over the ground of feet that are sensed to stand, by the declared legs, median by "
         "phase of stance with its middle half. It is zero for rigid legs on feet that stand still.",
     )
-    yield Picture(_by_speed(walks), "What standing legs miss of the speed, one dot a stance.")
-    yield Picture(_gait(walks), "Duty factor and stride period, all feet.")
     if all(w.log.has("force") for _, _, group in walks for w in group):
         yield Picture(
             _force(walks), "Foot force over the median of its stance's middle, by phase of stance."
@@ -72,32 +70,6 @@ def _band(ax, phase: np.ndarray, values: np.ndarray, label: str, color: str) -> 
     ).T
     ax.plot(middle, median, color=color, label=label)
     ax.fill_between(middle, low, high, color=color, alpha=0.2, linewidth=0)
-
-
-def _by_speed(walks: Walks) -> Figure:
-    figure, ax = single_axes(7.5, 4.0)
-    for label, color, group in walks:
-        values = np.concatenate([quantities.walk_stance_means(w)[0] for w in group])
-        ax.scatter(values[:, 0], values[:, 1], s=6, color=color, alpha=0.35, linewidth=0)
-        speed = np.array([0.0, values[:, 0].max()])
-        ax.plot(speed, quantities.missed_share(values) * speed, color=color, label=label)
-    ax.set(xlabel="forward speed of the base in a stance [m/s]", ylabel="missed by the leg [m/s]")
-    legend_below(figure, ax)
-    return figure
-
-
-def _gait(walks: Walks) -> Figure:
-    figure, axes = new_figure(1, 2, size=(9.0, 3.4))
-    shown = {"duty factor": quantities.duty, "stride period [s]": quantities.period}
-    for ax, (words, quantity) in zip(axes[0], shown.items(), strict=True):
-        each = [np.concatenate([quantity(w)[0] for w in group]) for _, _, group in walks]
-        low, high = np.percentile(np.concatenate(each), (1, 99))
-        edges = np.linspace(low, high, 31)
-        for (label, color, _), values in zip(walks, each, strict=True):
-            ax.hist(values, edges, density=True, histtype="step", color=color, label=label)
-        ax.set(xlabel=words, yticks=[])
-    legend_below(figure, axes[0, 0])
-    return figure
 
 
 def _force(walks: Walks) -> Figure:

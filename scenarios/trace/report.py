@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from surefoot.models.attribution.data import LACKING
 from surefoot.models.attribution.effect_sizes import Found
 from surefoot.models.attribution.judgement import ChannelLevel
 from surefoot.models.residuals.channels import channels
@@ -34,8 +33,6 @@ VERDICTS = {
     "unchanged": "nothing has changed since the runs that the declared effects were found in",
 }
 """The result in one sentence; `{}` stands for the effects found."""
-_PLURALS = {"joint": "joints", "link": "links", "leg": "legs", "leg_link": "links"}
-"""Kind of target that has groups (`Effect.targets`) -> plural noun."""
 _MUCH = 0.1
 """Share of the squared residual that an effect outside its bounds must explain to be mentioned."""
 _SCALE = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "s": (1e3, "ms"), "ratio": (1e2, "%")}
@@ -48,7 +45,6 @@ DRIFT_PARTS = {
 """Parts of a drift (`filters.drift_parts`) as they are shown, and their factors."""
 FIRST = ("drift", "ape_trans", "rpe_trans", "nees_position")
 """Metrics of a filter that are shown first."""
-_EVERY_METRIC = "Every metric of the filters"
 
 
 def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
@@ -56,9 +52,9 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
     effects = found.effects
     if robot.legged is not None and found.stretches and found.stretches[0].log.has("q"):
         first = found.stretches[0]
-        estimates = {f"{first.filter} (declared model)": first.before}
+        estimates = {f"{first.filter} before": first.before.estimate}
         if effects:
-            estimates[f"{first.filter} (effect added)"] = first.after
+            estimates[f"{first.filter} after"] = first.after.estimate
         write_recording(out / "trace.rrd", RecordedWalk(first.log, robot.legged, estimates))
     title = headline(found)
     write_report(out / "report.html", f"{title[0].upper()}{title[1:]}", sections(found))
@@ -68,8 +64,8 @@ def write_outputs(found: Trace, robot: Machine, out: Path) -> None:
 
 
 def summary(found: Trace) -> str:
-    """The report for a terminal, without what is folded and the second table of the filters."""
-    shown = [one for one in sections(found) if not (one.folded or one.heading == _EVERY_METRIC)]
+    """The report for a terminal, without what is folded."""
+    shown = [one for one in sections(found) if not one.folded]
     return markdown_report(f"verdict: {found.verdict}: {headline(found)}", shown).rstrip()
 
 
@@ -77,7 +73,7 @@ def sections(found: Trace) -> list[Section]:
     """Sections of the report below its headline: the residual, what to do next, filters, what
     speaks for each effect, and notes; the rest is folded.
     """
-    first, lacking, assumed = ranked_notes(found)
+    first, further = ranked_notes(found)
     where = "held-out logs" if found.held_out else "the parts of the logs used by no fit"
     steps = "Names in capitals are of logs that you record."
     named = (
@@ -89,9 +85,10 @@ def sections(found: Trace) -> list[Section]:
         f"Root mean square of means over {1e3 * found.averaged_over:.0f} ms, on {where}; turn-on "
         "biases of the IMU are subtracted."
     )
+    shown = ("before", "after", "noise_floor", "unit")
     residuals = [
-        channel_row(name, vars(one)) | {"": state_of(one)}
-        for name, one in found.unseen_channels.items()
+        {"channel": n, **{k.replace("_", " "): getattr(one, k) for k in shown}, "": state_of(one)}
+        for n, one in found.unseen_channels.items()
     ]
     left = [*beyond_bounds(found), *unexplained_in_words(found)]
     possible = {k: size for k, size in found.least.items() if size <= _largest(found, k)}
@@ -111,7 +108,7 @@ def sections(found: Trace) -> list[Section]:
         *_given("What the remaining residual correlates with", left),
         *_given("Notes", first),
         *(least if found.verdict == "unchanged" else [replace(one, folded=True) for one in least]),
-        *(replace(one, folded=True) for one in _details(found, lacking, assumed)),
+        *(replace(one, folded=True) for one in _details(found, further)),
     ]
 
 
@@ -148,14 +145,14 @@ def _of_filters(found: Trace) -> list[Section]:
     )
     words = [f"{where}. Before: the declared model. After: with the effects found."]
     for one in found.stretches:
-        sides = zip(("before", "after"), one.lost, strict=True)
-        words += [f"{side}, on {one.log.name}: {why}" for side, why in sides if why]
+        sides = {"before": one.before.lost, "after": one.after.lost}
+        words += [f"{side}, on {one.log.name}: {why}" for side, why in sides.items() if why]
     rows = filter_rows(found.judged_filters, FIRST)
     parts = _given("Filters before and after", words, rows)
     if found.causes:
         drifts = {
             "as declared": found.causes.declared,
-            **{f"{e.name} {target_in_words(e)} adds": x for e, x in found.causes.added},
+            **{f"{e.name} {e.target} adds": x for e, x in found.causes.added},
             "with all effects": found.causes.left,
         }
         factors = np.array(list(DRIFT_PARTS.values()))
@@ -172,7 +169,7 @@ def _of_filters(found: Trace) -> list[Section]:
     return parts
 
 
-def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> list[Section]:
+def _details(found: Trace, further: Sequence[str]) -> list[Section]:
     """Sections for those who want to know more."""
     zeros = [
         {"run": number, **row}
@@ -185,18 +182,11 @@ def _details(found: Trace, lacking: Sequence[str], assumed: Sequence[str]) -> li
     ]
     every = filter_rows(found.judged_filters, filters.REPORTED)
     return [
-        *_given("What these logs cannot show", lacking),
-        *_given("What is assumed", assumed),
-        *_given(_EVERY_METRIC, [], every),
+        *_given("What is assumed, and what these logs cannot show", further),
+        *_given("Every metric of the filters", [], every),
         *_given("Zeros and clocks of each run", [], zeros),
         *_given("Considered and rejected", [], rejected),
     ]
-
-
-def channel_row(name: str, level: Mapping[str, Any]) -> dict[str, Any]:
-    """Residual of a channel before and after, and its noise floor, from a ChannelLevel's fields."""
-    keys = ("before", "after", "noise_floor", "unit")
-    return {"channel": name} | {key.replace("_", " "): level[key] for key in keys}
 
 
 def _sizes(found: Trace, ones: Sequence[Found]) -> list[dict[str, Any]]:
@@ -265,28 +255,13 @@ def headline(found: Trace) -> str:
 
 def _in_words(found: Trace, one: Effect) -> str:
     factor, unit = _scale(found, one.name, one.target)
-    return f"{one.name} {target_in_words(one)} {factor * one.value:+.3g} {unit}"
+    return f"{one.name} {one.target} {factor * one.value:+.3g} {unit}"
 
 
 def _scale(found: Trace, name: str, target: str) -> tuple[float, str]:
     """Factor to a suitable multiple of an effect's unit, and this multiple."""
     unit = found.unit_of(name, target)
     return _SCALE.get(unit, (1.0, unit))
-
-
-def target_in_words(one: Effect) -> str:
-    """A target in words: 'left' becomes 'of the left legs', 'calf' 'of every calf'; a single joint
-    or leg keeps its name.
-    """
-    kind = type(one).targets
-    if not type(one).groups or isinstance(kind, tuple):
-        return one.target
-    several = _PLURALS[kind]
-    if one.target == "all":
-        return f"of all {several}"
-    if one.target in ("left", "right", "front", "rear"):
-        return f"of the {one.target} {several}"
-    return f"of every {one.target}" if one.target in ("hip", "thigh", "calf") else one.target
 
 
 def unexplained_in_words(found: Trace) -> list[str]:
@@ -329,19 +304,17 @@ def state_of(level: ChannelLevel) -> str:
     return "at its floor" if level.at_floor else "above its floor"
 
 
-def ranked_notes(found: Trace) -> tuple[list[str], list[str], list[str]]:
-    """Notes on faults of the logs and the result; on what the logs cannot show; on assumptions."""
+def ranked_notes(found: Trace) -> tuple[list[str], list[str]]:
+    """Notes on faults of the logs and the result; on assumptions and what the logs cannot show."""
     urgent = {*found.channels, "excluded from the verdict", *found.warnings, *found.worse}
-    first, lacking, assumed = [], [], []
+    first, further = [], []
     if "leg_velocity" in found.channels:
-        assumed.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
+        further.append(f"masked as slipping: {100 * found.masked_share:.1f} % of stance time")
     if found.channels:
-        assumed.append(f"noise floor: {found.floor}")
+        further.append(f"noise floor: {found.floor}")
     for note in dict.fromkeys(one for one in found.notes if one not in found.reasons):
-        without = any(words in note for words in (LACKING, "not used", "not identifiable"))
-        of_result = {note, note.partition(":")[0]} & urgent
-        (first if of_result else lacking if without else assumed).append(note)
-    return first, lacking, assumed
+        (first if {note, note.partition(":")[0]} & urgent else further).append(note)
+    return first, further
 
 
 def filter_rows(errors: Filters, metrics: Collection[str]) -> list[dict[str, str]]:

@@ -10,7 +10,6 @@ from typing import Any
 
 from surefoot.models.attribution.data import dead_contacts
 from surefoot.models.attribution.diagnose import DiagnosisOptions, diagnose, logs_under_model
-from surefoot.models.attribution.evidence import LogUnderModel
 from surefoot.models.attribution.model_error import ModelError, model_error_from_dict
 from surefoot.scenarios.cache import contents_digest
 from surefoot.scenarios.estimate.contact_sources import contact_lines
@@ -167,9 +166,9 @@ def trace_logs(
     cases = [run.case for run in found.runs]
     if found.attribution is not None and not cases:
         cases = logs_under_model(logs, robot, options.declared or ())
-    stretches = _filtered(cases, found.effects, learnt, _REPORT_SHARE)
+    stretches = filters.before_and_after(cases, found.effects, learnt, _REPORT_SHARE)
     held_out = [run.case for run in found.held_out.runs] if found.held_out else []
-    unseen = _filtered(held_out, found.effects, learnt, 1.0)
+    unseen = filters.before_and_after(held_out, found.effects, learnt, 1.0)
     metrics, unseen_metrics = filters.mean_metrics(stretches), filters.mean_metrics(unseen)
     harm = tuple(
         f"{name} filter: larger error with the effects found"
@@ -192,24 +191,6 @@ def trace_logs(
         warnings=(*warnings, *dead),
         limbs=robot.limbs,
     )
-
-
-def _filtered(
-    cases: Sequence[LogUnderModel], effects: Sequence[Effect], learnt: Learnt, share: float
-) -> tuple[filters.BeforeAfter, ...]:
-    """Every filter on the last `share` (0 to 1) of each log, without and with the effects found.
-
-    Omits logs of machines on a fixed base or without an IMU, on which no filter runs, and those
-    without a reference, which cannot be evaluated.
-    """
-    done: list[filters.BeforeAfter] = []
-    for case in cases:
-        if case.fixed or not (case.log.has("imu") and case.log.has("reference")):
-            continue
-        t = case.log.t
-        begin = t[0] + (1 - share) * (t[-1] - t[0])
-        done += filters.before_and_after(case.log, case.robot, effects, learnt, begin, t[-1])
-    return tuple(done)
 
 
 def unchanged_beside(effects_file: Path, declared: Sequence[Effect]) -> ModelError | None:

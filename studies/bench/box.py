@@ -1,11 +1,11 @@
 """Box moments compared with the paper's randomized quasi-Monte Carlo, by kind of box."""
 
+from functools import partial
+
 import numpy as np
 
 from studies.bench.ratio import SAMPLES, Progress, Ratio, in_turn, part_of
-from studies.montecarlo.qmc import ordinary_boxes, qmc_moments, tensor_moments
-from surefoot.estimator import box_moments_kernel
-from surefoot.extend import kernel
+from studies.montecarlo.qmc import evaluate_boxes, ordinary_boxes, tensor_moments
 
 _BOXES = 100
 Boxes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -18,19 +18,17 @@ def box_rows(rounds: int, progress: Progress | None = None) -> list[Ratio]:
     kinds = box_kinds(np.random.default_rng(4), _BOXES)
     rows = []
     for number, (name, boxes) in enumerate(kinds.items()):
-        shifts = np.random.default_rng(5).random((_BOXES, 3))
-        ours, theirs = outputs(_BOXES), outputs(_BOXES)
-        fast, slow = in_turn(
-            lambda boxes=boxes, ours=ours: run_ours(*boxes, *ours),
-            lambda boxes=boxes, shifts=shifts, theirs=theirs: run_qmc(*boxes, shifts, *theirs),
-            rounds,
-            part_of(progress, number, len(kinds)),
-        )
+        shifts = np.random.default_rng(5).random((1, _BOXES, 3))
+        run_ours = partial(evaluate_boxes, *boxes, 0, shifts)
+        run_qmc = partial(evaluate_boxes, *boxes, SAMPLES, shifts)
+        part = part_of(progress, number, len(kinds))
+        fast, slow = in_turn(run_ours, run_qmc, rounds, part)
+        ours, theirs = run_ours(), run_qmc()
         note = f"{1e6 * fast / _BOXES:.1f} us a box"
         if name == "ordinary":
             note += f"; {less_error(boxes, ours, theirs):.0e} times less error of the covariance"
         elif not np.isfinite(theirs[0]).all() or not np.isfinite(theirs[2]).all():
-            note += f"; no number from the samples in {np.isnan(theirs[2][:, 0, 0]).mean():.0%}"
+            note += f"; no number from the samples in {np.isnan(theirs[2][0, :, 0, 0]).mean():.0%}"
         rows.append(Ratio(f"box moments, {name}", f"QMC, N = {SAMPLES}", slow / fast, TARGET, note))
     return rows
 
@@ -69,11 +67,6 @@ def box_kinds(rng: np.random.Generator, count: int) -> dict[str, Boxes]:
     }
 
 
-def outputs(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Empty probabilities (B,), means (B, 3) and covariances (B, 3, 3)."""
-    return np.empty(count), np.empty((count, 3)), np.empty((count, 3, 3))
-
-
 def less_error(boxes, ours, theirs) -> float:
     """RMS error of the sampled covariances over that of ours.
 
@@ -82,46 +75,8 @@ def less_error(boxes, ours, theirs) -> float:
     """
     clear = np.linalg.det(boxes[1]) > 0.03
     exact = np.array([tensor_moments(*box)[2] for box in zip(*boxes, strict=True)])
-    wrong = [np.linalg.norm((found[2] - exact)[clear]) for found in (theirs, ours)]
+    wrong = [np.linalg.norm((found[2][0] - exact)[clear]) for found in (theirs, ours)]
     return float(wrong[0] / wrong[1])
-
-
-@kernel
-def run_ours(means, covs, lowers, uppers, prob, mean, cov):
-    """Probabilities and moments of B boxes by quadrature.
-
-    Args:
-        means: (B, 3), of the Gaussians.
-        covs: (B, 3, 3), of the Gaussians.
-        lowers: (B, 3), bounds.
-        uppers: (B, 3), bounds.
-        prob: (B,), filled.
-        mean: (B, 3), filled.
-        cov: (B, 3, 3), filled.
-    """
-    for b in range(means.shape[0]):
-        log = box_moments_kernel(means[b], covs[b], lowers[b], uppers[b], mean[b], cov[b])
-        prob[b] = np.exp(log)
-
-
-@kernel
-def run_qmc(means, covs, lowers, uppers, shifts, prob, mean, cov):
-    """Probabilities and moments of B boxes from SAMPLES points each.
-
-    Args:
-        means: (B, 3), of the Gaussians.
-        covs: (B, 3, 3), of the Gaussians.
-        lowers: (B, 3), bounds.
-        uppers: (B, 3), bounds.
-        shifts: (B, 3) in [0, 1), of the lattices.
-        prob: (B,), filled.
-        mean: (B, 3), filled.
-        cov: (B, 3, 3), filled.
-    """
-    for b in range(means.shape[0]):
-        prob[b] = qmc_moments(
-            means[b], covs[b], lowers[b], uppers[b], SAMPLES, shifts[b], mean[b], cov[b]
-        )
 
 
 def _pair(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:

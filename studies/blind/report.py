@@ -475,14 +475,15 @@ def _row(record: Record) -> dict[str, Any]:
         "kind": record["kind"],
         "robot": record["robot"],
         "seed": record["seed"],
-        "put in": _listed(record["effects"]),
+        "put in": listed(record["effects"]),
         "verdict": record.get("verdict", "fell"),
-        "named": _listed(record.get("effects_found", ())),
+        "named": listed(record.get("effects_found", ())),
         "rivals": ", ".join(" ".join(rival) for rival in rivals(record)) or "-",
         "size over floor": over[0] if over else None,
     }
 
 
-def _listed(effects: Sequence[Mapping[str, Any]]) -> str:
+def listed(effects: Sequence[Mapping[str, Any]]) -> str:
+    """Effects of a record in words; "-" for none."""
     parts = [f"{e['name']} {e['target']} {e['value']:.3g} {e['unit']}" for e in effects]
     return ", ".join(parts) or "-"

@@ -4,18 +4,18 @@
 it, and write its report, by `python -m studies.blind -o DIR`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from studies.blind.plan import PLAN, Case, draw_cases, study_robot
 from studies.blind.report import write_report_of
 from studies.blind.trial import run_case
+from studies.cases import run_cases
 from studies.command import OutputFolder
 from surefoot.extend import read_toml
 from surefoot.models.attribution.evidence import candidates_digest
-from surefoot.scenarios.reporting import finished_case, processes, read_case, stage
 
 _MODULE = "studies.blind.trial"
 
@@ -25,45 +25,17 @@ def run_blind_study(
 ) -> list[dict[str, Any]]:
     """Run up to `at_most` unfinished cases of a plan; returns the records of all finished ones.
 
-    Each finished case is a file in `folder`, so a stopped study resumes. Cases of the same walk are
-    run by one worker, since they share its noise floor.
+    Cases of the same walk are run by one worker, since they share its noise floor.
     """
     drawn = read_toml(plan, "study")
-    groups: dict[tuple, list[Case]] = {}
-    records: dict[int, dict[str, Any]] = {}
-    left = float("inf") if at_most is None else at_most
-    for case in draw_cases(drawn):
-        row = read_case(folder, _name(case), _inputs(case, drawn), _MODULE)
-        if row is not None:
-            records[case.number] = row
-        elif left > 0:
-            left -= 1
-            # Small groups, so that a study stopped early has covered all effects alike.
-            key = case.number // 80, case.robot, case.seed
-            groups.setdefault(key, []).append(case)
-    with processes(workers) as pool:
-        jobs = {key: (_run_group, group, folder, plan) for key, group in groups.items()}
-        for rows in stage(pool, "study", jobs).values():
-            records |= rows
-    return [records[number] for number in sorted(records)]
+    inputs, run = partial(_inputs, plan=drawn), partial(run_case, plan=plan)
+    kept = draw_cases(drawn), folder, _MODULE, inputs, run
+    return run_cases(*kept, _walk_of, workers, at_most)
 
 
-def _run_group(group: Sequence[Case], folder: Path, plan: Path) -> dict[int, dict[str, Any]]:
-    drawn = read_toml(plan, "study")
-    return {
-        case.number: finished_case(
-            folder,
-            _name(case),
-            _inputs(case, drawn),
-            _MODULE,
-            lambda case=case: run_case(case, plan),
-        )
-        for case in group
-    }
-
-
-def _name(case: Case) -> str:
-    return f"{case.number:03d}"
+def _walk_of(case: Case) -> tuple[int, str, int]:
+    # Small groups, so that a study stopped early has covered all effects alike.
+    return case.number // 80, case.robot, case.seed
 
 
 def _inputs(case: Case, plan: dict[str, Any]) -> dict[str, Any]:

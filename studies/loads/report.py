@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.blind.report import share
+from studies.blind.report import listed, share
 from studies.loads.plan import KINDS, PLAN, draw_load_cases
 from surefoot.extend import read_toml
 from surefoot.scenarios.reporting import Section, origin_of, write_page, write_results
@@ -178,16 +178,11 @@ def _row(record: Record) -> dict[str, Any]:
         "case": record["number"],
         "kind": record["kind"],
         "machine": record["machine"],
-        "put in": _listed(record["effects"]),
+        "put in": listed(record["effects"]),
         "verdict": record["verdict"],
-        "named": _listed(record["effects_found"]),
+        "named": listed(record["effects_found"]),
         "rivals": ", ".join(f"{r['name']} {r['target']}" for r in record["rivals"] or ()) or "-",
         "over the least": record.get("over_least"),
         "refuted by": ", ".join(record.get("refuted", ())) or "-",
         "right": right(record),
     }
-
-
-def _listed(effects: Sequence[Mapping[str, Any]]) -> str:
-    parts = [f"{e['name']} {e['target']} {e['value']:.3g} {e['unit']}" for e in effects]
-    return ", ".join(parts) or "-"

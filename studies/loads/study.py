@@ -4,18 +4,19 @@
 it, and write its report, by `python -m studies.loads -o DIR`.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from studies.cases import run_cases
 from studies.command import OutputFolder
 from studies.loads.plan import PLAN, LoadCase, draw_load_cases, machine_of
 from studies.loads.report import write_page_of
 from studies.loads.trial import run_load_case
 from surefoot.extend import read_toml
 from surefoot.models.attribution.evidence import candidates_digest
-from surefoot.scenarios.reporting import file_digest, finished_case, processes, read_case, stage
+from surefoot.scenarios.reporting import file_digest
 
 _MODULE = "studies.loads.trial"
 
@@ -28,36 +29,12 @@ def run_loads_study(
     Cases of one individual are run by one worker, since they share its calibration.
     """
     plan = read_toml(PLAN, "study")
-    groups: dict[tuple, list[LoadCase]] = {}
-    records: dict[int, dict[str, Any]] = {}
-    left = float("inf") if at_most is None else at_most
-    for case in draw_load_cases(plan):
-        row = read_case(folder, _name(case), _inputs(case, plan), _MODULE)
-        if row is not None:
-            records[case.number] = row
-        elif left > 0:
-            left -= 1
-            alone = case.number if case.individual is None else -1
-            groups.setdefault((case.machine, case.individual, alone), []).append(case)
-    with processes(workers) as pool:
-        jobs = {key: (_run_group, group, folder) for key, group in groups.items()}
-        for rows in stage(pool, "study", jobs).values():
-            records |= rows
-    return [records[number] for number in sorted(records)]
+    kept = draw_load_cases(plan), folder, _MODULE, partial(_inputs, plan=plan), run_load_case
+    return run_cases(*kept, _individual, workers, at_most)
 
 
-def _run_group(group: Sequence[LoadCase], folder: Path) -> dict[int, dict[str, Any]]:
-    plan = read_toml(PLAN, "study")
-    return {
-        case.number: finished_case(
-            folder, _name(case), _inputs(case, plan), _MODULE, lambda case=case: run_load_case(case)
-        )
-        for case in group
-    }
-
-
-def _name(case: LoadCase) -> str:
-    return f"{case.number:03d}"
+def _individual(case: LoadCase) -> tuple[str, int | None, int]:
+    return case.machine, case.individual, case.number if case.individual is None else -1
 
 
 def _inputs(case: LoadCase, plan: dict[str, Any]) -> dict[str, Any]:

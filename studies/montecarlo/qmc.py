@@ -147,7 +147,7 @@ def runtime_accuracy(
     rows = []
     for number, samples in enumerate([*SAMPLE_COUNTS, 0]):
         draws = rng.random((shifts if samples else 1, boxes, 3))
-        out = _evaluate(means, covs, lowers, uppers, samples, draws)
+        out = evaluate_boxes(means, covs, lowers, uppers, samples, draws)
         errors = [
             (
                 (out[0][s, b] - exact[b][0]) ** 2,
@@ -161,7 +161,7 @@ def runtime_accuracy(
         fastest = np.inf
         for _ in range(rounds):
             started = perf_counter()
-            _evaluate(means, covs, lowers, uppers, samples, repeats)
+            evaluate_boxes(means, covs, lowers, uppers, samples, repeats)
             fastest = min(fastest, perf_counter() - started)
         milliseconds = 1e3 * fastest / (len(repeats) * boxes)
         probability, mean, cov = np.sqrt(np.mean(errors, axis=0)).tolist()
@@ -196,49 +196,7 @@ def tensor_moments(mean, cov, lower, upper) -> tuple[float, np.ndarray, np.ndarr
     return float(total), mean + first, np.einsum("n,ni,nj->ij", w, centred, centred) / total
 
 
-@kernel
-def _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, prob, mean, cov):
-    """Moments of B boxes with S lattices each.
-
-    Args:
-        means: (B, 3), of the Gaussians.
-        covs: (B, 3, 3), of the Gaussians.
-        lowers: (B, 3), bounds.
-        uppers: (B, 3), bounds.
-        samples: points of a lattice.
-        shifts: (S, B, 3) in [0, 1), of the lattices.
-        prob: (S, B), filled.
-        mean: (S, B, 3), filled.
-        cov: (S, B, 3, 3), filled.
-    """
-    for s in range(shifts.shape[0]):
-        for b in range(shifts.shape[1]):
-            box = (means[b], covs[b], lowers[b], uppers[b])
-            prob[s, b] = qmc_moments(*box, samples, shifts[s, b], mean[s, b], cov[s, b])
-
-
-@kernel
-def _evaluate_ours(means, covs, lowers, uppers, repeats, prob, mean, cov):
-    """Moments of B boxes by quadrature, repeated for the timing.
-
-    Args:
-        means: (B, 3), of the Gaussians.
-        covs: (B, 3, 3), of the Gaussians.
-        lowers: (B, 3), bounds.
-        uppers: (B, 3), bounds.
-        repeats: how often, S.
-        prob: (S, B), filled.
-        mean: (S, B, 3), filled.
-        cov: (S, B, 3, 3), filled.
-    """
-    for s in range(repeats):
-        for b in range(means.shape[0]):
-            prob[s, b] = math.exp(
-                box_moments_kernel(means[b], covs[b], lowers[b], uppers[b], mean[s, b], cov[s, b])
-            )
-
-
-def _evaluate(means, covs, lowers, uppers, samples: int, shifts):
+def evaluate_boxes(means, covs, lowers, uppers, samples: int, shifts):
     """Probabilities (S, B), means (S, B, 3) and covariances (S, B, 3, 3).
 
     Args:
@@ -251,11 +209,19 @@ def _evaluate(means, covs, lowers, uppers, samples: int, shifts):
     """
     S, B = shifts.shape[:2]
     out = np.empty((S, B)), np.empty((S, B, 3)), np.empty((S, B, 3, 3))
-    if samples:
-        _evaluate_qmc(means, covs, lowers, uppers, samples, shifts, *out)
-    else:
-        _evaluate_ours(means, covs, lowers, uppers, S, *out)
+    _evaluate(means, covs, lowers, uppers, samples, shifts, *out)
     return out
+
+
+@kernel
+def _evaluate(means, covs, lowers, uppers, samples, shifts, prob, mean, cov):
+    for s in range(shifts.shape[0]):
+        for b in range(shifts.shape[1]):
+            box, out = (means[b], covs[b], lowers[b], uppers[b]), (mean[s, b], cov[s, b])
+            if samples:
+                prob[s, b] = qmc_moments(*box, samples, shifts[s, b], *out)
+            else:
+                prob[s, b] = math.exp(box_moments_kernel(*box, *out))
 
 
 @kernel

@@ -99,7 +99,6 @@ model = "gru"
 inputs = "q,dq"
 [sweep]
 gammas = [0.9]
-seeds = [0]
 [[condition]]
 name = "plain"
 words = "as it is"

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pandas as pd
 from reference_columns import reference_columns
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from surefoot.sim.log import JOINTS, Log, Meta
@@ -99,3 +100,10 @@ def _wander(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     waves = rng.uniform(0.3, 2.0, size=5)
     turns = rng.uniform(0, 2 * np.pi, size=5)
     return np.sin(np.outer(t, waves) + turns).sum(axis=1) / np.sqrt(2.5)
+
+
+def gauss_markov(rng: np.random.Generator, n: int, keep: float, axes: int = 3) -> np.ndarray:
+    """A stationary process (n, axes) of unit variance whose neighbours correlate by `keep`."""
+    steps = rng.standard_normal((n, axes))
+    steps[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0))

@@ -228,7 +228,7 @@ EXPERIMENT = [
     ("no steps of training", "steps = 25", "steps = 0", "steps"),
     ("an unknown network", 'model = "gru"', 'model = "oracle"', "oracle"),
     ("inputs of nothing", 'inputs = "q,dq"', 'inputs = ""', "inputs"),
-    ("a sweep of other seeds", "gammas = [0.9]\nseeds = [0]", "gammas = [0.9]\nseeds = [5]", "sweep"),
+    ("a sweep of other seeds", "gammas = [0.9]\n", "gammas = [0.9]\nseeds = [5]\n", "sweep"),
     ("a sweep of nothing", "gammas = [0.9]\n", "", "sweep"),
     ("a condition of a path", 'name = "plain"', 'name = "../../plain"', "name"),
     ("effects that are not there", '"effects.toml"', '"no.toml"', "no.toml"),

@@ -70,7 +70,7 @@ def test_bounds_say_what_they_said(tmp_path):
     assert bounds.mixing is not None
     assert bounds.mixing.beta.tolist() == values["mixing"]["beta"]
     part = bounds.persistent_at(np.eye(3))
-    for name in ("covariance", "course", "epsilon", "within", "variance", "interval"):
+    for name in ("covariance", "course", "epsilon", "within", "variance"):
         assert getattr(part, name) == pytest.approx(np.array(values["persistent"][name]), rel=1e-12)
     assert part.max_error.tolist() == values["persistent"]["reach"]
     bounds.save(tmp_path / "again.json")

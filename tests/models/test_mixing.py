@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import root_scalar
 from scipy.stats import norm
+from synthetic import gauss_markov
 
 from surefoot.models.calibration.mixing import (
     beta_coefficient,
@@ -22,14 +23,6 @@ def markov_chain(P, n, rng):
     return states
 
 
-def autoregression(phi, n, rng, axes=1):
-    e = rng.standard_normal((n + 300, axes))
-    x = np.zeros_like(e)
-    for i in range(1, len(e)):
-        x[i] = phi * x[i - 1] + e[i]
-    return x[300:]
-
-
 def gaussian_beta(r):
     """beta of two standard normal variables with correlation r, by quadrature."""
     g = np.linspace(-6, 6, 601)
@@ -41,7 +34,7 @@ def gaussian_beta(r):
 
 @pytest.mark.parametrize("phi", [0.8, 0.9])
 def test_the_curve_of_an_autoregression(phi):
-    x = autoregression(phi, 7000, np.random.default_rng(2), axes=3)
+    x = gauss_markov(np.random.default_rng(2), 7000, phi)
     curve = mixing(x)
     for lag in (5, 10, 20):
         assert curve.excess[lag - 1] == pytest.approx(gaussian_beta(phi**lag), abs=0.05)
@@ -61,7 +54,7 @@ def test_what_never_mixes_is_said():
 
 
 def test_monotone_maps_do_not_matter():
-    x = autoregression(0.9, 2000, np.random.default_rng(6))
+    x = gauss_markov(np.random.default_rng(6), 2000, 0.9, axes=1)
     assert np.array_equal(mixing(x).beta, mixing(np.exp(3 * x)).beta)
 
 
@@ -82,7 +75,7 @@ def test_spacing_is_close_to_the_true_one_and_never_much_below(phi, n):
     rng = np.random.default_rng(8)
     correlation = root_scalar(lambda r: gaussian_beta(r) - 0.05, bracket=(0.1, 0.2), xtol=1e-3)
     true = np.log(correlation.root) / np.log(phi)
-    found = np.array([mixing(autoregression(phi, n, rng, axes=3)).K for _ in range(8)])
+    found = np.array([mixing(gauss_markov(rng, n, phi)).K for _ in range(8)])
     assert true * 0.85 <= found.min()
     assert true <= np.median(found) <= 1.35 * true
 
@@ -91,7 +84,7 @@ def test_a_clock_never_mixes_and_its_period_is_avoided():
     """A gait by the clock: errors repeat with the stride, however far apart they are taken."""
     rng, period = np.random.default_rng(9), 50
     clock = np.tile(np.sign(np.arange(period) - 9.5), 200)  # one fifth of the stride differs
-    x = np.array(autoregression(0.9, len(clock), rng, axes=1))[:, 0]
+    x = gauss_markov(rng, len(clock), 0.9, axes=1)[:, 0]
     curve = mixing((x / x.std() + 2 * clock)[:, None])
     beta = curve.excess[:, 0]
     at_stride, between = beta[period - 1 :: period], beta[period // 2 - 1 :: period]

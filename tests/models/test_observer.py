@@ -10,29 +10,6 @@ from synthetic import Body, synthetic_walk, without
 from surefoot.models.observer.observer import Observer, ObserverError, check_inputs
 from surefoot.models.observer.predict import ObserverStream, predict
 from surefoot.models.observer.samples import observer_samples
-from surefoot.sim.common.errors import SurefootError
-
-
-def test_a_checkpoint_comes_back_whole(gml_observer, walks, tmp_path):
-    path = tmp_path / "observer.safetensors"
-    gml_observer.save(path)
-    loaded = Observer.load(path)
-    assert loaded.hash == gml_observer.hash
-    assert loaded.logs == gml_observer.logs
-    ours, theirs = (predict(o, walks["test"], Body()) for o in (gml_observer, loaded))
-    assert np.array_equal(ours.v_I, theirs.v_I)
-    assert ours.covariance is not None
-    assert theirs.covariance is not None
-    assert np.array_equal(ours.covariance, theirs.covariance)
-
-
-def test_nothing_is_overwritten_unless_forced(mse_observer, tmp_path):
-    path = tmp_path / "observer.safetensors"
-    mse_observer.save(path)
-    with pytest.raises(SurefootError, match="exists already"):
-        mse_observer.save(path)
-    mse_observer.save(path, force=True)
-    assert [p.name for p in tmp_path.iterdir()] == ["observer.safetensors"]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from altered_bounds import write_bounds
 from scipy.linalg import cho_factor, cho_solve, toeplitz
-from scipy.signal import lfilter
+from synthetic import gauss_markov
 
 from surefoot.models.calibration.bias_model import (
     BiasModel,
@@ -26,17 +26,10 @@ STD = np.array([0.05, 0.03, 0.02])
 MIXING = np.array([0.08, 0.06, 0.05])
 
 
-def gauss_markov(rng, n, keep, std):
-    """A stationary process (n, 3) whose neighbours correlate by `keep`."""
-    steps = rng.standard_normal((n, 3))
-    steps[1:] *= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], steps, axis=0)) * std
-
-
 def errors(rng, duration, tau, std=STD, forgets=0.05):
     n = round(duration / DT)
-    lasting = gauss_markov(rng, n, np.exp(-DT / tau), std)
-    return lasting + gauss_markov(rng, n, np.exp(-DT / forgets), MIXING)
+    lasting = std * gauss_markov(rng, n, np.exp(-DT / tau))
+    return lasting + MIXING * gauss_markov(rng, n, np.exp(-DT / forgets))
 
 
 @pytest.mark.parametrize("sign", [np.array([1.0, -1.0, 1.0]), np.ones(3)])
@@ -67,33 +60,25 @@ def test_sequences_that_each_keep_their_own():
     rng = np.random.default_rng(0)
     found = estimate_bias_model([errors(rng, 40.0, np.inf) for _ in range(30)], DT, 0.8)
     assert found.time_constant == np.inf
-    assert (found.sequences, found.nu) == (30, 30.0)
+    assert found.nu == 30.0
+    assert np.sqrt(found.variance) == pytest.approx(STD, rel=0.3)
     for i in range(3):
-        low, high = found.interval[i]
-        assert low < STD[i] ** 2 < high
-        assert high < 4 * low
         assert found.covariance[i, i] == pytest.approx(found.variance[i] * 30 / 28)
 
 
-def test_intervals_hold_the_truth_as_often_as_they_say():
-    """24 single logs of 300 s, three axes each and one tau: binomial bounds at 1e-4."""
+def test_sizes_and_time_constant_are_about_those_of_the_truth():
+    """Of 24 single logs of 300 s: medians, within what so many logs leave open."""
     rng = np.random.default_rng(1)
-    held, tau_held = 0, 0
-    for _ in range(24):
-        found = estimate_bias_model(errors(rng, 300.0, 15.0), DT, 0.8)
-        held += np.sum((found.interval[:, 0] <= STD**2) & (found.interval[:, 1] >= STD**2))
-        low, high = found.time_constant_interval
-        # The grid's neighbours bound the interval from outside.
-        tau_held += low / 1.32 <= 15.0 <= high * 1.32
-    assert held >= 60
-    assert tau_held >= 19
+    found = [estimate_bias_model(errors(rng, 300.0, 15.0), DT, 0.8) for _ in range(24)]
+    std = np.median([np.sqrt(one.variance) for one in found], axis=0)
+    assert std == pytest.approx(STD, rel=0.25)
+    assert 15.0 / 2.0 < np.median([one.time_constant for one in found]) < 15.0 * 2.0
 
 
 def test_nothing_that_lasts_is_about_nothing():
     rng = np.random.default_rng(2)
     found = [estimate_bias_model(errors(rng, 200.0, np.inf, 0 * STD), DT, 0.8) for _ in range(8)]
     assert np.median([np.sqrt(f.variance) for f in found]) < 0.05 * MIXING.max()
-    assert sum((f.interval[:, 0] <= 1e-7).sum() for f in found) >= 18
     for f in found:
         np.linalg.cholesky(f.covariance)
 
@@ -133,7 +118,6 @@ def test_a_sequence_shorter_than_a_block_has_only_its_mean_taken_off():
 def test_one_sequence_says_little_of_a_part_that_never_changes():
     found = estimate_bias_model(errors(np.random.default_rng(6), 60.0, np.inf), DT, 0.8)
     assert found.nu < 20
-    assert np.all(found.interval[:, 1] > 3 * found.variance)
 
 
 @pytest.mark.parametrize("count", [0, 10, 499])
@@ -221,7 +205,7 @@ def test_a_constant_part_leaves_nothing_to_the_courses():
 def test_axes_that_move_apart_are_correlated_below_zero():
     """Pairs of block means: two axes opposed, a third on its own."""
     rng = np.random.default_rng(0)
-    own = gauss_markov(rng, 4000, 0.95, np.ones(3))
+    own = gauss_markov(rng, 4000, 0.95)
     y = np.stack([own[:, 0], 0.2 * own[:, 1] - own[:, 0], own[:, 2]], axis=1)
     found = _correlation(y, np.arange(4000) == 0, 0.95, 200.0)
     assert np.diag(found) == pytest.approx(1.0)

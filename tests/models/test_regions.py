@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from mapie_quantile import mapie_quantile
 from refusals import refused
 from scipy.optimize import linprog
-from scipy.signal import lfilter
 from scipy.stats import binom
+from synthetic import gauss_markov
 
 from surefoot.models.calibration.calibrate import region_of
 from surefoot.models.calibration.mixing import mixing
@@ -87,10 +87,8 @@ def test_a_scenario_box_keeps_its_confidence():
     assert held.mean() < gamma + 0.12
 
 
-def autoregression(rng, n, phi=0.9):
-    start = rng.standard_normal((1, 3)) / np.sqrt(1 - phi**2)
-    steps = rng.standard_normal((n, 3))
-    return lfilter([1.0], [1.0, -phi], steps, axis=0, zi=phi * start)[0]
+def autoregression(rng, n):
+    return gauss_markov(rng, n, 0.9)
 
 
 def regimes(rng, n):

@@ -12,7 +12,7 @@ from surefoot.models.observer.data import draw, prepare
 from surefoot.models.observer.network import loss_of
 from surefoot.models.observer.observer import ObserverError
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.observer.training import CPU, _begin, torch_bytes, train
+from surefoot.models.observer.training import CPU, _begin, train
 
 META = torch.device("meta")
 BEGUN = TrainSettings(width=8, rate=1e-2)
@@ -44,12 +44,10 @@ def test_torchs_recurrence_is_the_compiled_one():
 
 
 def test_weights_are_drawn_and_kept_on_the_cpu():
-    """The same ones for every device, and the best so far can be written from any."""
     data = dataset()
     there, here = (_begin(data, BEGUN, d) for d in (META, CPU))
     for name, weight in here.best.items():
         torch.testing.assert_close(there.best[name], weight, rtol=0, atol=0)
-    assert torch_bytes(there.best) == torch_bytes(here.best)
 
 
 @pytest.mark.parametrize("name", ["meta", "gpu", "cuda:99"])

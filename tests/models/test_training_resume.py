@@ -90,9 +90,9 @@ def test_the_state_of_another_training_is_not_gone_on_from(other, tmp_path):
 def test_a_state_that_was_changed_is_not_gone_on_from(tmp_path, capsys):
     partial = tmp_path / "o.safetensors.partial"
     fit(partial)
-    state = torch.load(partial, weights_only=True)
-    next(iter(state["best"].values())).add_(1.0)
-    torch.save(state, partial)
+    state = bytearray(partial.read_bytes())
+    state[len(state) // 2] ^= 1
+    partial.write_bytes(state)
     assert fit(partial).hash == fit().hash
     (said,) = capsys.readouterr().err.splitlines()
     assert partial.name in said

@@ -232,7 +232,7 @@ def test_undeclared_effects_leave_no_trace_but_the_answer(folder):
         if path.is_file() and path.name != "truth.toml":
             assert b"gyro_scale" not in path.read_bytes()
     refused("undeclared effects", short, "hidden")
-    refused("without undeclared effects", with_hidden_effect, "plain")
+    refused("other undeclared effects, with none", with_hidden_effect, "plain")
 
 
 def test_declared_effects_stand_in_log_and_index(folder):

@@ -71,13 +71,6 @@ def result(verdict, **known):
     return Trace(verdict=verdict, **given)
 
 
-def test_an_interval_has_digits_that_tell_its_ends_apart():
-    trace = Trace(verdict="attributed", channels={}, filters={})
-    one = Found(effect("imu_rotation", "y", 0.035012), (0.034642, 0.035381))
-    (row,) = _sizes(trace, [one])
-    assert (row["low"], row["size"], row["high"]) == ("0.03464", "0.03501", "0.03538")
-
-
 def test_an_effect_is_named_from_a_size_of_its_own():
     (row,) = _sizes(result("attributed"), [replace(ONE, excess=8.7, least=0.004, agreement=9.0)])
     assert (row["named from"], row["standard deviations"]) == ("0.004", "8.7")
@@ -184,14 +177,13 @@ def test_notes_on_faults_come_first_and_the_others_are_folded():
         "imu filter: larger error with the effects found",
     )
     found = result("none_of_these", notes=notes, warnings=notes[:1], worse=notes[4:])
-    first, lacking, assumed = ranked_notes(found)
+    first, further = ranked_notes(found)
     assert first == [notes[0], notes[3], notes[4]]
-    assert lacking == [notes[2]]
-    assert notes[1] in assumed
+    assert {notes[1], notes[2]} <= set(further)
     said = summary(found)
     assert all(said.count(note[1:]) == (note in first) for note in notes)
     folded = {one.heading for one in sections(found) if one.folded}
-    assert folded >= {"What is assumed", "What these logs cannot show"}
+    assert "What is assumed, and what these logs cannot show" in folded
     assert "Notes" not in folded
 
 

@@ -7,9 +7,11 @@ import pytest
 from whole_runs import run_coverage
 
 from studies.bench import walking
-from studies.bench.box import box_kinds, less_error, outputs, run_ours, run_qmc
+from studies.bench.box import box_kinds, less_error
 from studies.bench.filter import BENCH_GAMMA, gtsam_filter, run_updates, trial, velocity_filter
+from studies.bench.ratio import SAMPLES
 from studies.bench.run import bench
+from studies.montecarlo.qmc import evaluate_boxes
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.updates.velocity import velocity_memory
 from surefoot.sim.common.errors import SurefootError
@@ -47,9 +49,8 @@ def test_unknown_items_and_too_many_rounds_are_refused():
 def test_samples_and_box_moments_do_the_same_work():
     """On every kind of box where the samples give a number, both mean the same Gaussian."""
     for name, boxes in box_kinds(np.random.default_rng(4), 20).items():
-        ours, theirs = outputs(20), outputs(20)
-        run_ours(*boxes, *ours)
-        run_qmc(*boxes, np.random.default_rng(5).random((20, 3)), *theirs)
+        shifts = np.random.default_rng(5).random((1, 20, 3))
+        ours, theirs = (evaluate_boxes(*boxes, samples, shifts) for samples in (0, SAMPLES))
         # Where nothing is left of the box's mass, nothing is left of the samples either.
         fair = ours[0] > 1e-3
         assert np.abs(ours[0] - theirs[0])[fair].max(initial=0.0) < 0.02, name

@@ -10,7 +10,7 @@ from mapie_quantile import mapie_quantile
 
 from studies.bounds import Bonferroni, Ellipsoid
 from surefoot.models.calibration.calibrate import region_of
-from surefoot.models.calibration.regions import Conformal, MaxNorm, mahalanobis
+from surefoot.models.calibration.regions import Conformal, MaxNorm, Region, mahalanobis
 from surefoot.models.registry import CALIBRATORS
 
 PROJECT = Path(__file__).parents[2] / "studies" / "pyproject.toml"
@@ -60,4 +60,4 @@ def test_an_ellipsoid_is_the_smaller_region_where_axes_err_together():
     )
     assert tight.volume < 0.5 * maxnorm.volume
     assert maxnorm.volume < conformal.volume < bonferroni.volume
-    assert tight.box.contains(errors)[tight.contains(errors)].all()
+    assert Region(tight.epsilon).contains(errors)[tight.contains(errors)].all()
