@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
 from surefoot.scenarios.estimate.error_series import ErrorSeries
 from surefoot.scenarios.estimate.estimators import shown_at_first
@@ -39,6 +40,7 @@ _ELLIPSOID_RATE = 5.0  # Hz
 _PIECE = 5  # samples of a trail that appear at once
 _FLOOR_MARGIN = 2.0  # m of floor around the walk
 _FOOTPRINT = (0x2B, 0x2B, 0x2B, 255)
+_SHADOW = (0, 0, 0, 90)
 _EDGE = (0x40, 0x3C, 0x38, 255)
 _GRID_LINE = (0x40, 0x3C, 0x38, 110)
 _GRID = 1.0  # m between the lines on the ground
@@ -84,6 +86,7 @@ def write_scene(
     stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if ground:
         _write_ground(stream, log, ground)
+        _write_shadow(stream, log, robot, ground)
     _write_robot(stream, log, robot)
     rows = rows_at(log, 20.0)
     _write_path(stream, "world/truth", (log.t[rows], log.ref_p[rows]), TRUTH, width=2.0)
@@ -138,6 +141,19 @@ def _grid(ground: Ground, half: float) -> rr.LineStrips3D:
             z = np.array([height(ground.height_map, *at) for at in zip(x, y, strict=True)])
             lines.append(np.column_stack([x, y, z + _ABOVE]).astype(np.float32))
     return rr.LineStrips3D(lines, colors=[_GRID_LINE], radii=[_pixels(0.4)])
+
+
+def _write_shadow(stream: rr.RecordingStream, log: Log, robot: Robot, ground: Ground) -> None:
+    """Write the trunk's shadow on the ground vertically below it."""
+    rows = rows_at(log, POSE_RATE)
+    p, R_GB = _trunk_poses(robot, log.ref_p[rows], log.ref_R_GI[rows])
+    p[:, 2] = [height(ground.height_map, x, y) + _ABOVE for x, y, _ in p]
+    yaw = np.arctan2(R_GB[:, 1, 0], R_GB[:, 0, 0])
+    R = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    _send_poses(stream, "world/shadow", log.t[rows], p, R)
+    flat = [*(1.1 * trunk_size(robot)[:2]), 0.5 * _ABOVE]
+    shape = rr.Ellipsoids3D(half_sizes=[flat], colors=[_SHADOW], fill_mode="solid")
+    stream.log("world/shadow/shape", shape, static=True)
 
 
 def _write_robot(stream: rr.RecordingStream, log: Log, robot: Robot) -> None:

@@ -146,11 +146,16 @@ def test_colours_are_those_of_the_palette(contents):
     assert f"#{patch >> 8:06X}" == friction_color(0.2)
 
 
-def test_lines_lie_on_the_ground_and_steps_have_edges(walk, tmp_path):
+def test_the_shadow_lies_on_the_ground_below_the_trunk(walk, tmp_path):
     ramp = Strip((-1.0, 2.0), (3.0, 2.0), 8.0, heights=(0.0, 0.4))
     ground = Ground(0.8, strips=(ramp,))
     meta = replace(walk.log.meta, model=ground_metadata(ground))
     contents = written(tmp_path / "ramp.rrd", walk._replace(log=replace(walk.log, meta=meta)))
+    p = contents.values("/world/shadow", "Transform3D:translation")[:, 0]
+    above = [z - height(ground.height_map, x, y) for x, y, z in p]
+    np.testing.assert_allclose(above, 0.01, atol=1e-5)
+    robot = contents.values("/world/robot", "Transform3D:translation")[:, 0]
+    np.testing.assert_allclose(p[:, :2], robot[:, :2], atol=1e-5)
     assert "/world/ground/friction_0.80/box_edges" in contents.static
     (lines,) = contents.static["/world/ground/grid"]["LineStrips3D:strips"]
     x, y, z = np.concatenate(lines).T
