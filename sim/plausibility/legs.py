@@ -359,10 +359,9 @@ def _zeros(view: LogView, legs: Stance) -> list[Finding]:
     if not np.isfinite(every).all():
         return []
     left = every.min(axis=1) / base  # by joint of a leg, and leg
-    mended = (left < MENDED) & (base > MISFIT)
     columns, seen = [], []
     for k in np.argsort(np.median(left, axis=1)):
-        which = np.flatnonzero(mended[k])
+        which = np.flatnonzero((left[k] < MENDED) & (base > MISFIT))
         if 2 * len(which) > len(chains):
             columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[every[k, :, i].argmin()]) for i in which})

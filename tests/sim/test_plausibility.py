@@ -265,7 +265,7 @@ def at_rate(log: Log, rate: float) -> Log:
 COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     # the columns, what is done to each; the rule that notices it; what its line says, in part
     "gyro all zero": ("gyro", np.zeros_like, "frozen", "gyro_x, gyro_y, gyro_z"),
-    "gyro with z of the wrong sign": ("gyro_z", np.negative, "gyro", "gyro_z: z is -z"),
+    "gyro with z of the wrong sign": ("gyro_z", np.negative, "gyro", "gyro_z: wrong sign"),
     "gyro scaled": ("gyro", times(1.4), "gyro", "1.4 times as fast"),
     "a weak axis": ("gyro_z", times(0.3), "gyro", "gyro_z: scaled"),
     "gyro that drifts": (
@@ -309,10 +309,10 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "a wrong zero": ("q_FL_thigh", plus(0.4), "zeros", "q_FL_thigh, q_FR_thigh"),
     "all calves from another zero": ("q_.._calf", plus(0.3), "legs", "-0.3 rad added"),
     "torques in mN m": ("tau_", times(1e3), "torque", 'unit = "mN m"'),
-    "torques negated": ("tau_", np.negative, "joint torques", "wrong sign"),
+    "torques negated": ("tau_", np.negative, "torques", "wrong sign"),
     "a torque of the wrong sign": (
-        "tau_RL_thigh", np.negative, "joint torques", "tau_RL_thigh: wrong sign"),
-    "torques of the motor": ("tau_", times(1 / 8), "support", "a motor's side"),
+        "tau_RL_thigh", np.negative, "torques", "tau_RL_thigh: wrong sign"),
+    "torques of the motor": ("tau_", times(1 / 8), "torques", "of the motor's side"),
     "torques without a sign": ("tau_", np.abs, "magnitudes", "without their sign"),
     "a contact stuck for a while": ("contact_RR", frozen, "contacts", "contact_RR"),
     "a contact that misses steps": (
@@ -325,7 +325,7 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
         "ref_[pv]", times(1.2), "reference's motion", "times that of the accelerometer"),
     "velocities in mm/s": ("ref_v", times(1e3), "reference's velocity", 'unit = "mm/s"'),
     "velocities of the wrong sign": (
-        "ref_v_y", np.negative, "reference's velocity", "ref_v_y: y is -y"),
+        "ref_v_y", np.negative, "reference's velocity", "ref_v_y: wrong sign"),
     "velocities in km/h": ("ref_v", times(3.6), "reference's velocity", "in km/h"),
     "no velocity along an axis": (
         "ref_v_x", np.zeros_like, "frozen", "ref_v_x: a sensor that hangs"),
@@ -362,7 +362,7 @@ LOG_CASES: dict[str, tuple[Callable[[Log], Log], str, str]] = {
         "copied", "q_FR_calf"),
     "rates swapped": (
         exchanged(("dq_FL_thigh", "dq_FL_calf")),
-        "joint rates", "the rate of FL_calf"),
+        "joint rates", "FL_thigh is FL_calf, FL_calf is FL_thigh"),
     "a rate from differences": (
         partial(differenced, pattern="dq_FR_calf"), "derived", "dq_FR_calf: computed from q"),
     "velocities in the body": (velocity_in_body, "reference's velocity", "in the body's axes"),
@@ -420,7 +420,7 @@ LATE_CASES: dict[str, tuple[float, str, str, str]] = {
     "a rate late": (0.02, "dq_FR_calf", "late", "late = { dq_FR_calf = 0.0"),
     "legs late": (0.2, f"({JOINTS}|contact)", "legs", "move 0.20 s after"),
     "joints late by some rows": (0.05, "(q|dq)_", "legs", "or joints are late"),
-    "torques late": (0.04, "tau_", "late torques", "load legs 0.04"),
+    "torques late": (0.04, "tau_", "torques", "0.039 s after"),
     "contacts late": (0.06, "contact_", "legs", "0.06 s earlier"),
     "a contact late": (0.1, "contact_RR", "legs", "contact_RR: late, unlike the other"),
     "one leg late": (0.05, "(q|dq|tau|contact)_FL", "legs", "FL moves 0.04 s after"),
