@@ -112,7 +112,7 @@ def frozen(view: LogView) -> Iterator[Finding]:
             joint = _of_joint(view, kind, name)
             if kind in ("q", "dq") and _comparable(view, joint):
                 hangs = [rows for rows in sections if _contradict(view.t, joint, rows, kind)]
-            elif kind in ("q", "dq", "tau") and (view.robot is None or _rests(joint)):
+            elif kind in ("q", "dq", "tau") and (view.robot is None or _rests(view.t, joint)):
                 hangs = []  # the joints of an arm rest one by one
             else:
                 hangs = [rows for rows in sections[:1] if _others_move(kinds, name, rows)]
@@ -152,9 +152,16 @@ def _contradict(t: np.ndarray, joint: Columns, rows: slice, kind: str) -> bool:
     return strays > max(RESTS, 3.0 * count * (long if kind == "dq" else 1.0)) + _STRAY * long
 
 
-def _rests(joint: Columns) -> bool:
-    """Whether a joint rests throughout; an angle that never changes may also be a dead sensor."""
-    return "q" in joint and 0.0 < np.ptp(joint["q"]) < RESTS
+def _rests(t: np.ndarray, joint: Columns) -> bool:
+    """Whether a joint rests throughout, by angle and rate (N,) at t [s].
+
+    An angle that never changes and has no rate beside it may also be a dead sensor.
+    """
+    turned = [np.ptp(joint["q"])] if "q" in joint else []
+    if "dq" in joint:
+        # Without its mean, since rates of a joint at rest may have an offset.
+        turned.append(np.ptp(np.cumsum((joint["dq"] - joint["dq"].mean()) * np.gradient(t))))
+    return max(turned, default=np.inf) < RESTS and (len(turned) > 1 or max(turned) > 0.0)
 
 
 def _others_move(kinds: dict[str, Columns], name: str, rows: slice) -> bool:
@@ -228,36 +235,29 @@ def lagging(view: LogView) -> Iterator[Finding]:
     Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
-    log, t, found = view.log, view.t, []
+    log, t, pairs = view.log, view.t, []
     if log.has("q") and log.has("dq"):
         moved, columns = derivative(t, log.q, JOINT_WINDOW, causal=False), view.columns("dq")
-        usual = _delay(view, log.dq, moved, LATE_RATE, LATEST_RATE)
-        found.append((columns, usual, "q", {"even": {"late": {"dq": round(usual, 4)}}}))
+        usual = delay_between(t, log.dq, moved, LATEST_RATE)
+        pairs.append((columns, log.dq, moved, usual, LATE_RATE, "q", "dq"))
         for j, column in enumerate(columns) if view.resolves else ():
-            delay = _delay(view, log.dq[:, [j]], moved[:, [j]], LATE_RATE, LATEST_RATE)
+            one = log.dq[:, [j]], moved[:, [j]]
+            delay = delay_between(t, *one, LATEST_RATE)
             if abs(delay - usual) > LATE_RATE:
-                mended = {"even": {"late": {column: round(delay, 4)}}}
-                found.append(((column,), delay, column[1:], mended))
+                pairs.append(((column,), *one, delay, LATE_RATE, column[1:], column))
     if log.has("ref_v"):
         moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
-        delay = _delay(view, log.ref_v, moved, LATE, LATEST_REFERENCE)
+        delay = delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
         # A reference has a clock of its own, so that the map cannot move its velocity alone.
-        found.append((REF_V, delay, "ref_p", {}))
-    for columns, delay, of, mended in found:
-        if delay:
+        pairs.append((REF_V, log.ref_v, moved, delay, LATE, "ref_p", ""))
+    for columns, x, moved, delay, least, of, key in pairs:
+        shifted = np.column_stack([np.interp(t + delay, t, y) for y in x.T])
+        explained = np.sum((shifted - moved) ** 2) < MENDED * np.sum((x - moved) ** 2)
+        if explained and abs(delay) >= view.least_lag(least):
             when = "late" if delay > 0 else "early"
             seen = f"{1e3 * abs(delay):.1f} ms {when} against the change of {of}"
+            mended = {"even": {"late": {key: round(delay, 4)}}} if key else {}
             yield Finding(columns, seen, "a filter, or stamps of another clock", mended)
-
-
-def _delay(view: LogView, x: np.ndarray, witness: np.ndarray, least: float, most: float) -> float:
-    """The delay [s] of readings x (N, D), at most `most`; 0 where it is smaller than `least` or
-    does not explain how they differ from what they should be, the witness (N, D).
-    """
-    delay = delay_between(view.t, x, witness, most)
-    shifted = np.column_stack([np.interp(view.t + delay, view.t, y) for y in x.T])
-    explained = np.sum((shifted - witness) ** 2) < MENDED * np.sum((x - witness) ** 2)
-    return delay if explained and abs(delay) >= view.least_lag(least) else 0.0
 
 
 @plausibility_rule("noise", beside="t gyro accel dq", when="comparable resolves")
