@@ -67,11 +67,13 @@ class AxesMatch:
     @property
     def wrong(self) -> tuple[int, ...]:
         """Columns that measure another one, or with the opposite sign: what they match leaves less
-        than MENDED of what their own leaves.
+        than MENDED of what their own leaves, and is not small, as a vibration that a slow filter
+        inverts.
         """
-        turned = self.exchanged | (self.sign < 0)
+        turned, sure = self.exchanged | (self.sign < 0), self.best > LIKELY
         clearer = 1.0 - self.best**2 < MENDED * (1.0 - np.maximum(self.paired, 0.0) ** 2)
-        return tuple(np.flatnonzero(turned & clearer & (self.best > LIKELY)).tolist())
+        small = self.scale < 0.5 * np.median(self.scale[sure]) if sure.any() else ~sure
+        return tuple(np.flatnonzero(turned & sure & clearer & ~small).tolist())
 
     @property
     def alike(self) -> bool:
@@ -177,7 +179,7 @@ def misread(
     witness: str,
 ) -> tuple[list[Finding], AxesMatch]:
     """The findings for columns of a kind that change their sign on the way, are other columns, or
-    have the opposite sign; and the match of those that do not change.
+    have the opposite sign; and the match of those that do not change, 0 for the others.
 
     Args:
         kind: of the columns, such as dq.
@@ -187,18 +189,15 @@ def misread(
         expected: (M, D), what they should.
         witness: name of that.
     """
-    turns = [_changes_sign(a, b) for a, b in zip(x.T, expected.T, strict=True)]
-    found = [
-        Finding(
-            (f"{kind}_{part}",),
-            f"at {at[turn]:.2f} s, relative to {witness}",
-            "its sign, or that of its angle, changes during the log",
-        )
-        for part, turn in zip(parts, turns, strict=True)
-        if turn is not None
-    ]
-    steady = [i for i, turn in enumerate(turns) if turn is None]
-    match = match_axes(x[:, steady], expected[:, steady], [parts[i] for i in steady])
+    found, steady = [], x.copy()
+    for i, part in enumerate(parts):
+        turn = _changes_sign(x[:, i], expected[:, i])
+        if turn is not None:
+            seen = f"at {at[turn]:.2f} s, relative to {witness}"
+            cause = "its sign, or that of its angle, changes during the log"
+            found.append(Finding((f"{kind}_{part}",), seen, cause))
+            steady[:, i] = 0.0
+    match = match_axes(steady, expected, parts)
     return found + ([match.finding(kind, witness)] if match.wrong else []), match
 
 

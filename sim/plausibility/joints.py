@@ -1,16 +1,15 @@
 """Checks of joints: rates against angles, range and torque limits, units."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from surefoot.sim.importing.advice import entries
 from surefoot.sim.log.schema import JOINTS, LEGS
 from surefoot.sim.plausibility import legs
-from surefoot.sim.plausibility.comparison import match_axes, misread, of_scale
+from surefoot.sim.plausibility.comparison import misread, of_scale
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.limits import HARDLY, LIKELY, SCALED
+from surefoot.sim.plausibility.limits import HARDLY, SCALED
 from surefoot.sim.plausibility.view import LogView
 
 BEYOND = 0.1
@@ -32,10 +31,6 @@ _MOVES, _STIRS = 0.2, 0.02
 """RMS rate [rad/s] below which a joint's rate is not compared: if it does not correlate with its
 angle's derivative, and if it does, unlike noise.
 """
-_INVERTED = 0.5
-"""Scale, relative to the other rates', below which a rate of the opposite sign is a vibration that
-a filter inverts: a moving average passes 0.22 of it at most.
-"""
 
 
 @plausibility_rule("joint rates", "t q dq", when="comparable")
@@ -50,44 +45,36 @@ def rates(view: LogView) -> Iterator[Finding]:
     log = view.log
     logged, moved = view.means(log.dq), view.changes(log.q)
     size, error = np.sqrt(np.mean(moved**2, axis=0)), view.between_samples(log.dq, log.q)
-    moves = (size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error)
-    match = match_axes(logged, moved)
-    usual = np.median(match.scale[moves & match.surely]) if np.any(moves & match.surely) else 1.0
-    inverted = moves & (match.paired < -LIKELY) & (match.scale < _INVERTED * usual)
-    if inverted.any():
-        seen = f"correlation with the change of its angle {match.paired[inverted].max():.2f}"
-        cause = "a slow filter, which inverts a vibration"
-        yield Finding(view.columns("dq", inverted), seen, cause)
-    kept = np.flatnonzero(moves & ~inverted)
-    names = [log.joints[j] for j in kept]
-    witness = "the change of its angle"
-    found, match = misread("dq", names, view.at, logged[:, kept], moved[:, kept], witness)
+    compared = (size > _STIRS) & (logged.std(axis=0) > 0.0) & np.isfinite(error)
+    columns, witness = view.columns("dq"), "the change of its angle"
+    found, match = misread("dq", log.joints, view.at, logged * compared, moved, witness)
     for one in found:
         if one.cause == "wrong sign":
             of_angle = legs.opposite_angles(view)
             wrong = tuple(x[1:] if x[1:] in of_angle else x for x in one.streams)
-            one = replace(one, streams=wrong, changes=entries(wrong, sign=-1.0))
+            backwards = ", or time runs backwards" * int(len(wrong) == compared.sum())
+            changes = entries(wrong, sign=-1.0)
+            one = Finding(wrong, one.evidence, f"{one.cause}{backwards}", changes)
         yield one
-    which = np.array([log.joints.index(part) for part in match.parts], dtype=int)
-    for i in np.flatnonzero((match.paired < HARDLY) & (size[which] > _MOVES)):
-        if i not in match.wrong:
+    for i in np.flatnonzero(compared & (size > _MOVES) & (match.paired < HARDLY)):
+        if not any(columns[i] in one.streams for one in found):
             seen = f"correlation with {witness} {match.paired[i]:.2f}"
-            cause = "no rate of this joint: shuffled rows, another clock, or a broken sensor"
-            yield Finding(view.columns("dq", which[[i]]), seen, cause)
-    sure = match.surely
-    if not sure.any() or not view.resolves:
+            cause = "no rate of this joint: shuffled rows, another clock, a slow or broken sensor"
+            yield Finding((columns[i],), seen, cause)
+    sure = np.flatnonzero(match.surely)
+    if not sure.size or not view.resolves:
         return
-    typical, which = float(np.median(match.scale[sure])), which[sure]
+    typical = float(np.median(match.scale[sure]))
     if abs(np.degrees(typical) - 1.0) < 2.0 * SCALED:
-        angles = view.columns("q", which)
+        angles = view.columns("q", sure)
         less = f"{typical:.3g} times the change of q"
         yield Finding(angles, less, "angles in deg, not rad", entries(angles, unit="deg"))
         return
     # What does not correlate says nothing of the size.
-    unsure = error[which] + 1.0 - match.paired[sure]
+    unsure = (error + 1.0 - match.paired)[sure]
     otherwise = "scaled, or stamps at a wrong rate"
-    columns = view.columns("dq", which)
-    yield from of_scale(columns, match.scale[sure], "the change of q", otherwise, unsure)
+    named = view.columns("dq", sure)
+    yield from of_scale(named, match.scale[sure], "the change of q", otherwise, unsure)
 
 
 @plausibility_rule("joints' unit", "q")

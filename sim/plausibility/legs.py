@@ -117,10 +117,10 @@ def kinematics(view: LogView) -> Iterator[Finding]:
 
 def _late(view: LogView, legs: Stance) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
-    (lag, *_), (share, *_) = _lags(partial(_with_earlier_motion, view, legs), LATEST_LEGS)
-    if abs(lag) < view.least_lag(2.0 * LATE) or not share < MENDED:
+    lag, share = _lags(partial(_with_earlier_motion, view, legs), LATEST_LEGS)
+    if abs(lag[0]) < view.least_lag(2.0 * LATE) or not share[0] < MENDED:
         return []
-    seen = f"move {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the reference and the IMU"
+    seen = f"{_moved(lag[0])} relative to the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
@@ -133,22 +133,26 @@ def _late_parts(view: LogView, legs: Stance) -> list[Finding]:
         rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
         return replace(legs, contact=view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
 
-    (lag, *contact_lag), (share, *by_contact) = _lags(with_later_contacts, LATEST_STREAM)
-    earlier = partial(_with_earlier_motion, view, legs)
-    (_, *leg_lag), (_, *by_leg) = _lags(earlier, LATEST_STREAM)
-    least, found = view.least_lag(LATE_STREAM), []
-    if abs(lag) > least and share < MENDED:
-        cause = "a filter, or another clock" if lag > 0 else "early, or joints are late"
-        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(lag)), cause)]
-    for i, leg in enumerate(view.log.legs):
-        if abs(contact_lag[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
-            seen = _less(1.0 / by_contact[i], _moved(contact_lag[i]))
-            cause = f"{'late' if contact_lag[i] > 0 else 'early'}, unlike the other contacts"
+    contact, left = _lags(with_later_contacts, LATEST_STREAM)
+    motion, beside = _lags(partial(_with_earlier_motion, view, legs), LATEST_STREAM)
+    mends = (np.abs(contact) > view.least_lag(LATE_STREAM)) & (left < MENDED)
+    moves = (np.abs(motion) > view.least_lag(LATE_STREAM)) & (beside < MENDED)
+    if mends[0]:
+        cause = "a filter, or another clock of contacts or joints"
+        return [
+            Finding(view.columns("contact"), f"{_moved(contact[0])}: {_less(1.0 / left[0])}", cause)
+        ]
+    found = []
+    for i, leg in enumerate(view.log.legs, 1):
+        if mends[i] and left[i] < beside[i]:
+            seen, cause = (
+                f"{_moved(contact[i])}: {_less(1.0 / left[i])}",
+                "unlike the other contacts",
+            )
             found.append(Finding((f"contact_{leg}",), seen, cause))
-        elif abs(leg_lag[i]) > least and by_leg[i] < MENDED:
-            when = "after" if leg_lag[i] > 0 else "before"
-            seen = f"{leg} moves {abs(leg_lag[i]):.2f} s {when} the body"
-            found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
+        elif moves[i]:
+            seen, columns = f"{leg} {_moved(motion[i])}", (f"q_{leg}", f"contact_{leg}")
+            found.append(Finding(columns, seen, "a clock of its own"))
     return found if 2 * len(found) <= len(view.log.legs) else []
 
 
@@ -176,7 +180,7 @@ def _lags(lagging: Callable[[float], Stance], latest: float) -> tuple[np.ndarray
 
 
 def _moved(lag: float) -> str:
-    return f"if taken {abs(lag):.2f} s {'earlier' if lag > 0 else 'later'}"
+    return f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'}"
 
 
 def _less(gain: float, how: str = "if corrected") -> str:
