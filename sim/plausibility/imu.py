@@ -1,7 +1,6 @@
 """Checks of gyro and accelerometer: gravity, units, axes and signs."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import permutations, product
 
 import numpy as np
@@ -122,8 +121,7 @@ def _turned_over(view: LogView, mean: np.ndarray, up: np.ndarray, seen: str) -> 
         cause = "gravity has the wrong sign, the motion the right one"
         return Finding(columns, seen, cause, entries(columns, offset=offset))
     columns = view.columns("accel", moved < -0.5) or columns
-    why = ": gravity was logged for specific force" if len(columns) == 3 else " (z down?)"
-    return Finding(columns, seen, f"wrong sign{why}", entries(columns, sign=-1.0))
+    return Finding(columns, seen, "wrong sign", entries(columns, sign=-1.0))
 
 
 @plausibility_rule("accelerometer", "t accel gyro ref", when="trusts_reference resolves")
@@ -158,9 +156,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
     elif _shakes(view, in_world) and (
         in_world.best.mean() >= in_body.best.mean() or in_world.wrong == (2,)
     ):
-        found = in_world.finding("ref_p", "the accelerometer")
-        down = "z is down (north-east-down): " if in_world.sign[2] < 0 else ""
-        yield replace(found, cause=f"{down}{found.cause}")
+        yield in_world.finding("ref_p", "the accelerometer")
     elif _shakes(view, in_body):
         yield in_body.finding("accel", "the reference's motion")
     else:

@@ -41,10 +41,10 @@ RULES: tuple[Rule, ...] = (
     # Two readings of one quantity.
     clock.leaps, joints.rates, joints.commands, streams.spikes,
     attitude.attitude, reference.velocity, imu.gyro,
-    loads.followed, streams.coarse, streams.noisy,
+    loads.driven, loads.followed, streams.coarse, streams.noisy,
     # IMU, reference and legs together.
     imu.accelerometer, reference.point, reference.motion, imu.averaged,
-    imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.torques_asked,
+    imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.carrying,
     # Symptoms of several causes.
     joints.stops, joints.zeros, streams.lagging, contacts.inverted,
 )  # fmt: skip

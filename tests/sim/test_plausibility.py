@@ -309,16 +309,16 @@ COLUMN_CASES: dict[str, tuple[str, Values, str, str]] = {
     "a wrong zero": ("q_FL_thigh", plus(0.4), "zeros", "q_FL_thigh, q_FR_thigh"),
     "all calves from another zero": ("q_.._calf", plus(0.3), "legs", "-0.3 rad added"),
     "torques in mN m": ("tau_", times(1e3), "torque", 'unit = "mN m"'),
-    "torques negated": ("tau_", np.negative, "torques", "wrong sign"),
+    "torques negated": ("tau_", np.negative, "torques of legs", "wrong sign"),
     "a torque of the wrong sign": (
-        "tau_RL_thigh", np.negative, "torques", "tau_RL_thigh: wrong sign"),
-    "torques of the motor": ("tau_", times(1 / 8), "torques", "of the motor's side"),
+        "tau_RL_thigh", np.negative, "torques of legs", "tau_RL_thigh: wrong sign"),
+    "torques of the motor": ("tau_", times(1 / 8), "torques of legs", "of the motor's side"),
     "torques without a sign": ("tau_", np.abs, "magnitudes", "without their sign"),
     "a contact stuck for a while": ("contact_RR", frozen, "contacts", "contact_RR"),
     "a contact that misses steps": (
         "contact_FR", every_second_step, "contacts", "contact_FR: a threshold that lighter steps"),
     "positions with z down": (
-        "ref_[pv]_z", np.negative, "accelerometer", "ref_p_z: z is down"),
+        "ref_[pv]_z", np.negative, "accelerometer", "ref_p_z: wrong sign"),
     "reference at 5 Hz": ("ref_p", straight(100), "interpolated", "ref_p_x"),
     "reference frozen": ("ref_", frozen, "frozen", "ref_p_x to ref_v_z"),
     "reference scaled": (
@@ -425,7 +425,7 @@ LATE_CASES: dict[str, tuple[float, str, str, str]] = {
         "legs",
         "clock of contacts or joints (0.06 s early",
     ),
-    "torques late": (0.04, "tau_", "torques", "load legs 0.04"),
+    "torques late": (0.04, "tau_", "torques of legs", "load legs 0.04"),
     "contacts late": (0.06, "contact_", "legs", "(0.06 s late"),
     "a contact late": (0.1, "contact_RR", "legs", "contact_RR: unlike the other contacts (0.1"),
     "one leg late": (0.05, "(q|dq|tau|contact)_FL", "legs", "FL 0.04 s late"),
