@@ -85,8 +85,9 @@ class AxesMatch:
         """The wrong columns in words, such as "x is -y"."""
         if not self.exchanged[list(self.wrong)].any():
             return "wrong sign"
-        read = {i: "-" * int(self.sign[i] < 0) + self.parts[self.order[i]] for i in self.wrong}
-        return ", ".join(f"{self.parts[i]} is {other}" for i, other in read.items())
+        minus = {i: "-" * int(self.sign[i] < 0) for i in self.wrong}
+        part = self.parts
+        return ", ".join(f"{part[i]} is {s}{part[self.order[i]]}" for i, s in minus.items())
 
     def corrected(self, *kinds: str) -> Changes:
         """Changes of the map that correct each wrong column of some kinds."""
@@ -101,7 +102,7 @@ class AxesMatch:
     def finding(self, kind: str, witness: str) -> Finding:
         """The finding for columns of a kind that do not measure what a witness says of them."""
         columns = tuple(f"{kind}_{self.parts[i]}" for i in self.wrong)
-        seen = f"correlation with {witness} {number_words(self.paired[list(self.wrong)])}"
+        seen = f"correlation with {witness} {self.paired[list(self.wrong)].max():.2f} at most"
         return Finding(columns, seen, self.words, self.corrected(kind))
 
 

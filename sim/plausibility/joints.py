@@ -59,7 +59,7 @@ def rates(view: LogView) -> Iterator[Finding]:
     for i in np.flatnonzero(compared & (size > _MOVES) & (match.paired < HARDLY)):
         if not any(columns[i] in one.streams for one in found):
             seen = f"correlation with {witness} {match.paired[i]:.2f}"
-            cause = "no rate of this joint: shuffled rows, another clock, a slow or broken sensor"
+            cause = "no rate of this joint: shuffled rows, another clock, or a slow filter"
             yield Finding((columns[i],), seen, cause)
     sure = np.flatnonzero(match.surely)
     if not sure.size or not view.resolves:

@@ -10,7 +10,7 @@ from surefoot.sim.importing.advice import scaled
 from surefoot.sim.physics.loads import momentum_balance
 from surefoot.sim.plausibility.comparison import misread
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
-from surefoot.sim.plausibility.limits import HARDLY, LATE_STREAM, LATEST_STREAM, LIKELY
+from surefoot.sim.plausibility.limits import LATE_STREAM, LATEST_STREAM, LIKELY
 from surefoot.sim.plausibility.stance import Stance
 from surefoot.sim.plausibility.streams import LIMITED, still_sections
 from surefoot.sim.plausibility.view import LogView
@@ -93,7 +93,7 @@ def carrying(view: LogView) -> Iterator[Finding]:
     pushed = _pushes(robot, log.q, log.tau) @ robot.R_BI[2]
     loads, stands = part.means(pushed), part.means(log.contact.astype(float))
     lag, alike = part.delay(loads, stands, LATE_STREAM, LATEST_STREAM)
-    if lag and alike > HARDLY:
+    if lag and alike > LIKELY:
         seen = f"load legs {abs(lag):.3f} s {'after' if lag > 0 else 'before'} they stand"
         cause = "a filter, or another clock (or that of the contacts)"
         yield Finding(view.columns("tau"), seen, cause)
@@ -102,8 +102,8 @@ def carrying(view: LogView) -> Iterator[Finding]:
     tau, asked = part.means(log.tau), part.means(asked)
     found, match = misread("tau", log.joints, part.at, tau, asked, witness)
     yield from found
-    alike = match.paired > LIKELY
-    size = float(np.median(match.scale[alike])) if alike.any() else 1.0
+    sure = match.paired > LIKELY
+    size = float(np.median(match.scale[sure])) if sure.any() else 1.0
     if not DRIVEN[0] < size < DRIVEN[1]:
         yield Finding(view.columns("tau"), f"{size:.2g} times {witness}", otherwise)
 
