@@ -91,7 +91,8 @@ def attitude(view: LogView) -> Iterator[Finding]:
         and under other readings (x, y, z, w; world to body; north-east-down; heading clockwise),
         and up to {LATEST:g} s late or early.
     Threshold: a reading that fits where ref_q as it is does not; {LATE:g} s late;
-        a vertical that is {NOT_LEVEL:g}° from gravity whichever way the body turns, or {TILT:g}°.
+        a vertical that is {NOT_LEVEL:g}° from gravity whichever way the body turns, or along
+        another axis.
     Reason: clean walks correlate by 0.97 and more; at 1 m/s a body is 2 cm further after 0.02
         s; an accelerometer 80 mg off leans by 5°.
     Remedy: the order or sign of ref_q's columns; [reference] q_GW, q_IM or offset; surefoot align.
@@ -102,12 +103,12 @@ def attitude(view: LogView) -> Iterator[Finding]:
     if shifted < max(SURELY, as_is + _CLEARLY):
         lag = 0.0
     if lag or (not match.wrong and as_is > HARDLY):
-        up = _up_in_world(view)
-        if up is not None:
-            lean = angle_between(up, _Z)
-            seen = f"its vertical is {lean:.0f} deg from gravity, whichever way the body turns"
+        level = _levelled(view)
+        if level is not None:
+            up, R_GW = level
+            seen = f"its vertical is {angle_between(up, _Z):.0f} deg from gravity"
             cause = f"the reference's world is not level: up is ({number_words(up)}) in it"
-            changes = {"q_GW": quaternion(_levelled(up, lean))}
+            changes = {"q_GW": quaternion(R_GW)}
             if lag:
                 cause, changes = f"{cause}; {_clock(lag)}", changes | _on_time(view, lag)
             yield Finding((*REF_P, *REF_Q), seen, cause, {"reference": changes})
@@ -122,31 +123,23 @@ def attitude(view: LogView) -> Iterator[Finding]:
         yield Finding(REF_Q, seen, words, changes)
 
 
-def _up_in_world(view: LogView) -> np.ndarray | None:
-    """Direction (3,) of the specific force in the reference's world; None where this is level, or
-    where it is the body in which the force leans.
+def _levelled(view: LogView) -> tuple[np.ndarray, Rotation] | None:
+    """Up (3,) in the reference's world, by the specific force, and the rotation from this world to
+    one with z up, by whole right angles where these nearly do. None where it is level, or where it
+    is the body in which the force leans.
     """
     mean = view.log.accel.mean(axis=0)
     if view.robot is not None and mean @ view.robot.R_BI[2] < 0.5 * np.linalg.norm(mean):
         return None
     R_GI, accel = view.attitudes(0.0, view.ok), view.accel[view.ok]
     up = R_GI.apply(accel).mean(axis=0)
-    lean = angle_between(up, _Z)
     apart = np.linalg.norm((accel - R_GI.inv().apply(-GRAVITY_G)).mean(axis=0))
     in_world = np.linalg.norm(up[:2]) > 1.05 * apart
-    return up / np.linalg.norm(up) if lean > (NOT_LEVEL if in_world else TILT) else None
-
-
-def _levelled(up: np.ndarray, lean: float) -> Rotation:
-    """Rotation to a world with z up from one in which `up` (3,) is, by `lean` [deg]; by whole right
-    angles where these nearly do.
-    """
-    if lean > 180.0 - _UPRIGHT:
-        return _NED
-    R_GW = Rotation.align_vectors([_Z], [up])[0]
-    whole = np.round(R_GW.as_matrix())
-    near = lean > TILT and np.abs(R_GW.as_matrix() - whole).max() < np.sin(np.radians(_UPRIGHT))
-    return Rotation.from_matrix(whole) if near else R_GW
+    lean, up = angle_between(up, _Z), up / max(float(np.linalg.norm(up)), 1e-9)
+    R_GW = _NED if lean > 180.0 - _UPRIGHT else Rotation.align_vectors([_Z], [up])[0]
+    if lean > TILT and np.abs(up).max() > np.cos(np.radians(_UPRIGHT)):
+        return up, Rotation.from_matrix(np.round(R_GW.as_matrix()))
+    return (up, R_GW) if in_world and lean > NOT_LEVEL else None
 
 
 def _late(view: LogView, lag: float) -> Finding:
