@@ -61,12 +61,7 @@ def spiking(x, t):
         ("q_des_shoulder", frozen, "it hangs (no change from 2.00 to", ""),
         ("q_des_shoulder", turned, "changes during the log", ""),
         ("q_des_shoulder", lambda x, t: -x, "wrong sign", "sign = -1 in the entry of q_des_"),
-        (
-            "q_des_shoulder",
-            lambda x, t: 3.0 * x,
-            "another unit than its angle's (2.98",
-            "gain = 0.3",
-        ),
+        ("q_des_shoulder", lambda x, t: 3.0 * x, "than its angle's (2.98", "gain = 0.3"),
     ],
 )
 def test_a_fault_of_a_stream_is_told_with_its_size_and_the_line_that_mends_it(

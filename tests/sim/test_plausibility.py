@@ -674,22 +674,16 @@ def test_a_note_and_a_fault_of_a_stream_are_both_found(log):
     assert {"saturated", "gyro"} <= {one.rule for one in found}
 
 
-def test_every_rule_has_a_place_in_the_order():
+def test_every_rule_has_a_place_says_why_and_needs_what_logs_have():
+    """What no log has would always be missing, and the rule would never speak."""
     files = [x for name, x in sys.modules.items() if name.startswith("surefoot.sim.plausibility.")]
     declared = {one.name for file in files for one in vars(file).values() if isinstance(one, Rule)}
     assert declared == {rule.name for rule in RULES}
-
-
-def test_every_rule_says_why():
-    assert len({rule.name for rule in RULES}) == len(RULES)
+    assert len(declared) == len(RULES)
     for row in rules_table():
         assert [*row] == ["Rule", *PARAGRAPHS]
         assert min(map(len, row.values())) > 2
         assert "{" not in "".join(row.values())
-
-
-def test_rules_need_what_logs_have():
-    """What no log has would always be missing, and the rule would never speak."""
     known = ["t", *(name for names in GROUPS.values() for name in names)]
     for rule in RULES:
         assert all(any(c.startswith(need) for c in known) for need in (*rule.needs, *rule.beside))
