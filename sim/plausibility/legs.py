@@ -2,14 +2,13 @@
 delays.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 
 import numpy as np
 
-from surefoot.sim.importing.advice import Changes
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.limits import FEWEST, LATE, LATE_STREAM, LATEST_STREAM, MENDED
 from surefoot.sim.plausibility.loads import exchanged, leaning
@@ -23,10 +22,6 @@ clean simulated walks, 0.03 to 0.1 on a measured Go1. Below it nothing is report
 MENDED_JOINTS = 0.5
 """MENDED for signs and order of joints, with more alternatives: 2.2 times, but for hips of robots
 that walk straight ahead, 1.2 times, see LEANS.
-"""
-FAIR, AS_GOOD = 0.1, 3.0
-"""Largest misfit of a correct leg, and largest ratio of a corrected leg's misfit to that of the
-worst correct one; without correct legs, any correction is accepted.
 """
 CLEARER = 0.9
 """Improvement required over an alternative that exchanges fewer legs, which is tried first."""
@@ -227,16 +222,12 @@ def _swapped(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     columns = tuple(f"{kind}{i}" for kind in swapped for i, _ in wrong)
     what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
     cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
-    changes = _exchanged_contacts(view, wrong) if swapped == ("contact_",) else {}
+    changes = {}
+    if swapped == ("contact_",):
+        # Or of the forces by which these were detected.
+        kind = "force" if "contact from force" in view.log.meta.derived else "contact"
+        changes = {"columns": {f"{kind}_{i}": {"of": f"{kind}_{j}"} for i, j in wrong}}
     return base / left, [Finding(columns, _less(base / left), cause, changes)]
-
-
-def _exchanged_contacts(view: LogView, wrong: Sequence[tuple[str, str]]) -> Changes:
-    """The change of a map that gives each leg the contacts of another, or the forces by which these
-    were detected.
-    """
-    kind = "force" if "contact from force" in view.log.meta.derived else "contact"
-    return {"columns": {f"{kind}_{i}": {"of": f"{kind}_{j}"} for i, j in wrong}}
 
 
 def _read_otherwise(
@@ -278,11 +269,8 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
         left[way] = misfits(_read_otherwise(view, legs, chains[:, order], sign))[1:]
         leans[way] = leaning(view, legs, chains[:, order], sign)
     best, left = left.argmin(axis=0), left.min(axis=0)
-    good = base[base < FAIR]
-    as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
     upright = (leans[0] > LEANS) & (leans[best, np.arange(len(best))] < 0.5 * leans[0])
-    most = np.where(upright, CLEARER, MENDED_JOINTS) * base
-    mends = (best > 0) & (left < np.minimum(most, as_good))
+    mends = (best > 0) & (left < np.where(upright, CLEARER, MENDED_JOINTS) * base)
     findings = []
     for leg in np.flatnonzero(mends):
         order, sign = ways[best[leg]]
