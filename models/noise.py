@@ -1,4 +1,4 @@
-"""Noise of a resting robot's IMU and encoders, and the densities that explain it.
+"""Noise of a resting robot's IMU, and the densities that explain it.
 
 A reading x = white noise of density N [unit/sqrt(Hz)] + a bias that walks with the density K
 [unit/s/sqrt(Hz)] has, averaged over tau, the Allan variance (IEEE Std 952-1997, annex C)
@@ -144,17 +144,12 @@ class RestNoise:
         end: of the rest [s].
         gyro: noise of each axis, in rad/s.
         accel: noise of each axis, in m/s^2.
-        encoder: standard deviation of single readings at rest (J,) [rad]; empty without joints.
-        stance: the same while the joint's foot is in stance, also in a walk (J,) [rad]; NaN where
-            the joint's name begins with that of no leg, or its foot hardly stands.
     """
 
     begin: float
     end: float
     gyro: tuple[AxisNoise, ...]
     accel: tuple[AxisNoise, ...]
-    encoder: np.ndarray
-    stance: np.ndarray
 
 
 def rest_of(log: Log) -> np.ndarray:
@@ -190,7 +185,7 @@ def rest_of(log: Log) -> np.ndarray:
 
 
 def rest_noise(log: Log) -> RestNoise:
-    """Noise of the IMU and the encoders during the longest rest of a log.
+    """Noise of the IMU during the longest rest of a log.
 
     Raises SurefootError where there is no rest, or only too short ones.
     """
@@ -200,34 +195,4 @@ def rest_noise(log: Log) -> RestNoise:
         tuple(axis_noise(x[rows, axis], log.rate) for axis in range(3))
         for x in (log.gyro, log.accel)
     )
-    encoder = stance = np.zeros(0)
-    if log.has("q"):
-        encoder = encoder_noise(log.q[rows])
-        stance = _stance_noise(log)
-    return RestNoise(float(t[0]), float(t[-1]), gyro, accel, encoder, stance)
-
-
-def encoder_noise(q: np.ndarray) -> np.ndarray:
-    """Standard deviation (J,) of the white noise of readings q (N, J) of a smooth motion.
-
-    Third differences of white noise have 1 + 9 + 9 + 1 times its variance; of the motion they
-    contain only the jerk.
-    """
-    return np.diff(q, n=3, axis=0).std(axis=0) / np.sqrt(20.0)
-
-
-def _stance_noise(log: Log) -> np.ndarray:
-    """`encoder_noise` of each joint (J,) over the rows in which the foot of its leg stands.
-
-    A joint is of the leg whose name its own begins with; NaN where there is none.
-    """
-    found = np.full(len(log.joints), np.nan)
-    if not log.has("contact"):
-        return found
-    third = np.diff(log.q, n=3, axis=0)
-    for leg, name in enumerate(log.legs):
-        joints = [j for j, joint in enumerate(log.joints) if joint.startswith(f"{name}_")]
-        stands = np.convolve(log.contact[:, leg], np.ones(4), mode="valid") > 3.5
-        if np.count_nonzero(stands) > 8:
-            found[joints] = third[stands][:, joints].std(axis=0) / np.sqrt(20.0)
-    return found
+    return RestNoise(float(t[0]), float(t[-1]), gyro, accel)

@@ -50,12 +50,7 @@ def noise_text(name: str, found: RestNoise) -> str:
         for sensor, unit, rate in SENSORS
         for axis, one in zip("xyz", getattr(found, sensor), strict=True)
     ]
-    text = f"{name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
-    if len(found.encoder):
-        text += f"\n\nwhite noise of joint angles: {_spread(found.encoder)} rad at rest"
-        if np.isfinite(found.stance).any():
-            text += f", {_spread(found.stance[np.isfinite(found.stance)])} rad of legs in stance"
-    return text
+    return f"{name}: at rest from {found.begin:.2f} to {found.end:.2f} s\n\n{to_markdown(rows)}"
 
 
 def settings_text(name: str, found: RestNoise) -> str:
@@ -77,12 +72,6 @@ def settings_text(name: str, found: RestNoise) -> str:
             else:
                 limit = max(one.high for one in each)
                 lines.append(f"# {key} is below {limit:.2g} {words}: the rest is too short to tell")
-    if len(found.encoder):
-        own = np.concatenate([found.encoder, found.stance])
-        lines.append(
-            f"# Joint angles have white noise of {np.nanmax(own):.2g} rad. It is not set here: "
-            "`encoder` and\n# `kinematics` of a filter also cover zeros, links and elasticity."
-        )
     return "\n".join(lines) + "\n"
 
 
@@ -105,7 +94,3 @@ def allan_figure(found: RestNoise) -> Figure:
 
 def _interval(one: Density) -> str:
     return f"{one.low:.2e} to {one.high:.2e}"
-
-
-def _spread(values: np.ndarray) -> str:
-    return f"{values.min():.1e} to {values.max():.1e}"

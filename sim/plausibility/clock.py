@@ -140,15 +140,12 @@ def speed(view: LogView) -> Iterator[Finding]:
         pairs.append((view.gyro[view.ok], view.turning[view.ok]))
     factors = []
     for rate, change in pairs:
-        both = np.sum(rate * change)
-        size = np.sum(change**2)
-        if size == 0.0 or abs(both) < LIKELY * np.sqrt(np.sum(rate**2) * size):
-            return
-        factors.append(float(both / size))
-    if len(factors) < 2 or np.ptp(factors) > SCALED * abs(factors[0]):
-        return
-    factor = float(np.median(factors))
-    if abs(factor - 1.0) > SCALED + error:
+        both, size = np.sum(rate * change), np.sum(change**2)
+        alike = abs(both) > LIKELY * np.sqrt(np.sum(rate**2) * size) > 0.0
+        factors.append(both / size if alike else np.nan)
+    factor = float(np.median(factors)) if len(factors) > 1 else np.nan
+    together = np.ptp(factors or [0.0]) <= SCALED * abs(factor)
+    if together and abs(factor - 1.0) > SCALED + error:
         seen = f"rates are {factor:.3g} times the change of what they are rates of, in all streams"
         cause = "time runs backwards" if factor < 0 else "stamps at a wrong rate"
         yield Finding(("t",), seen, cause)

@@ -13,7 +13,7 @@ from surefoot.sim.importing.advice import Changes, entries, scaled
 from surefoot.sim.importing.columns import UNITS
 from surefoot.sim.importing.streams import with_short_gaps
 from surefoot.sim.plausibility.finding import Finding
-from surefoot.sim.plausibility.limits import GAIN, HARDLY, LIKELY, SCALED, SURELY
+from surefoot.sim.plausibility.limits import HARDLY, LIKELY, MENDED, SCALED, SURELY
 
 NEAR = 1.2
 """Largest ratio of a stream's scale to that of the unit it is taken to be in."""
@@ -39,6 +39,7 @@ class AxesMatch:
         paired: correlation of each column with its own (D,).
         best: correlation with the matched one (D,).
         scale: slope of measured over expected for the match (D,).
+        parts: names of the columns (D,), such as x, y, z.
     """
 
     order: np.ndarray
@@ -46,6 +47,7 @@ class AxesMatch:
     paired: np.ndarray
     best: np.ndarray
     scale: np.ndarray
+    parts: Sequence[str]
 
     @classmethod
     def of(cls, axes: np.ndarray) -> "AxesMatch":
@@ -64,48 +66,56 @@ class AxesMatch:
 
     @property
     def surely(self) -> np.ndarray:
-        """Numbers of the columns that surely measure what they match."""
-        return np.flatnonzero(self.best > SURELY)
+        """Mask (D,) of the columns that surely measure what they should."""
+        return self.paired > SURELY
 
     @property
     def wrong(self) -> tuple[int, ...]:
-        """Axes that measure another one, or with the opposite sign."""
-        turned = self.exchanged | (self.sign < 0)
-        wrong = turned & (self.best > LIKELY) & (self.best - self.paired > GAIN)
-        return tuple(np.flatnonzero(wrong).tolist())
+        """Columns that measure another one, or with the opposite sign: what they match leaves less
+        than MENDED of what their own leaves, and is not small, as a vibration that a slow filter
+        inverts.
+        """
+        turned, sure = self.exchanged | (self.sign < 0), self.best > LIKELY
+        clearer = 1.0 - self.best**2 < MENDED * (1.0 - np.maximum(self.paired, 0.0) ** 2)
+        small = self.scale < 0.5 * np.median(self.scale[sure]) if sure.any() else ~sure
+        return tuple(np.flatnonzero(turned & sure & clearer & ~small).tolist())
 
     @property
     def alike(self) -> bool:
-        """Whether all axes that move are the expected ones."""
+        """Whether all columns that move are the expected ones."""
         return not self.wrong and bool(np.median(self.paired) > HARDLY)
 
     @property
     def words(self) -> str:
-        """The wrong axes in words, such as "x is -y"."""
-        signs = {i: "-" if self.sign[i] < 0 else "" for i in self.wrong}
-        return ", ".join(f"{'xyz'[i]} is {s}{'xyz'[self.order[i]]}" for i, s in signs.items())
+        """The wrong columns in words, such as "x is -y"."""
+        if not self.exchanged[list(self.wrong)].any():
+            return "wrong sign"
+        minus = {i: "-" * int(self.sign[i] < 0) for i in self.wrong}
+        part = self.parts
+        return ", ".join(f"{part[i]} is {s}{part[self.order[i]]}" for i, s in minus.items())
 
     def corrected(self, *kinds: str) -> Changes:
-        """Changes of the map that correct each wrong axis of vectors of some kinds."""
+        """Changes of the map that correct each wrong column of some kinds."""
         entry: dict[str, dict[str, Any]] = {}
         for kind in kinds:
             for i in self.wrong:
-                axis, column = (f"{kind}_{'xyz'[k]}" for k in (self.order[i], i))
-                of = {"of": column} if column != axis else {}
-                entry[axis] = of | ({"sign": -1.0} if self.sign[i] < 0 else {})
+                column, own = (f"{kind}_{self.parts[k]}" for k in (self.order[i], i))
+                of = {"of": own} if own != column else {}
+                entry[column] = of | ({"sign": -1.0} if self.sign[i] < 0 else {})
         return {"columns": entry}
 
     def finding(self, kind: str, witness: str) -> Finding:
-        """The finding for axes of a vector that do not measure what a witness says of them."""
-        columns = tuple(f"{kind}_{'xyz'[i]}" for i in self.wrong)
-        paired = ", ".join(f"{'xyz'[i]} {self.paired[i]:.2f}" for i in self.wrong)
-        seen = f"correlation with {witness} {paired}"
+        """The finding for columns of a kind that do not measure what a witness says of them."""
+        columns = tuple(f"{kind}_{self.parts[i]}" for i in self.wrong)
+        seen = f"correlation with {witness} {self.paired[list(self.wrong)].max():.2f} at most"
         return Finding(columns, seen, self.words, self.corrected(kind))
 
 
-def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
+def match_axes(
+    measured: np.ndarray, expected: np.ndarray, parts: Sequence[str] = "xyz"
+) -> AxesMatch:
     """Match the columns of `measured` (M, D) to those of `expected` (M, D), by their variation
-    alone.
+    alone; `parts` are their names.
     """
     a, b = measured - measured.mean(axis=0), expected - expected.mean(axis=0)
     sizes = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None]
@@ -116,7 +126,7 @@ def match_axes(measured: np.ndarray, expected: np.ndarray) -> AxesMatch:
     power = np.sum(b**2, axis=0)[order]
     scale = both[rows, order] / np.where(power > 0, power, np.inf)
     sign = np.where(matched < 0, -1.0, 1.0)
-    return AxesMatch(order, sign, np.diag(alike), np.abs(matched), np.abs(scale))
+    return AxesMatch(order, sign, np.diag(alike), np.abs(matched), np.abs(scale), parts)
 
 
 def in_another_unit(
@@ -166,42 +176,51 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(a @ b / size, -1.0, 1.0))))
 
 
-def correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Correlation of a (M,) and b (M,); 0 where one is constant."""
-    return float(match_axes(a[:, None], b[:, None]).paired[0])
-
-
-def changing_sign(
-    column: str,
-    expected: str,
+def misread(
+    kind: str,
+    parts: Sequence[str],
     at: np.ndarray,
-    logged: np.ndarray,
-    moved: np.ndarray,
-    always: float = SURELY,
-) -> Finding | None:
-    """The finding for a stream that changes its sign relative to the expected one; None where it
-    does not.
+    x: np.ndarray,
+    expected: np.ndarray,
+    witness: str,
+) -> tuple[list[Finding], AxesMatch]:
+    """The findings for columns of a kind that change their sign on the way, are other columns, or
+    have the opposite sign; and the match of those that do not change, 0 for the others.
 
     Args:
-        column: name of the stream.
-        expected: name of the expected one.
+        kind: of the columns, such as dq.
+        parts: their names (D,).
         at: times (M,) [s].
-        logged: the stream (M,), such as a joint's rate.
-        moved: the expected one (M,), such as the derivative of the joint's angle.
-        always: least sum of the magnitudes of the correlations before and after.
+        x: (M, D), what they read.
+        expected: (M, D), what they should.
+        witness: name of that.
+    """
+    found, steady = [], x.copy()
+    for i, part in enumerate(parts):
+        turn = _changes_sign(x[:, i], expected[:, i])
+        if turn is not None:
+            seen = f"at {at[turn]:.2f} s, relative to {witness}"
+            cause = "its sign, or that of its angle, changes during the log"
+            found.append(Finding((f"{kind}_{part}",), seen, cause))
+            steady[:, i] = 0.0
+    match = match_axes(steady, expected, parts)
+    return found + ([match.finding(kind, witness)] if match.wrong else []), match
+
+
+def _changes_sign(x: np.ndarray, expected: np.ndarray) -> int | None:
+    """Row from which x (M,) has the other sign relative to what is expected (M,); None if it has
+    the same throughout.
     """
     # Clip outliers: an angle that changes its sign jumps.
-    most = [np.quantile(np.abs(x), 0.95) for x in (logged, moved)]
-    a, b = (np.clip(x, -m, m) for x, m in zip((logged, moved), most, strict=True))
+    most = [np.quantile(np.abs(y), 0.95) for y in (x, expected)]
+    a, b = (np.clip(y, -m, m) for y, m in zip((x, expected), most, strict=True))
     both = np.cumsum(a * b)
     k = int(np.argmax(np.abs(both) + np.abs(both[-1] - both)))
     before, after = both[k], both[-1] - both[k]
     whole = np.linalg.norm(a) * np.linalg.norm(b)
     least = min(abs(before), abs(after))
-    if before * after >= 0.0 or least < _TURNED * whole or abs(before - after) < always * whole:
-        return None
-    seen = f"at {at[k]:.2f} s, relative to {expected}"
-    return Finding((column,), seen, "its sign, or that of its angle, changes during the log")
+    turns = before * after < 0.0 and least > _TURNED * whole
+    return k if turns and abs(before - after) > LIKELY * whole else None
 
 
 def lag_of(

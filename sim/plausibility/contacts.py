@@ -27,17 +27,12 @@ UNCHANGED = 1.0
 """Shortest time without a change to report [s], two strides; bouncing contacts change often in
 less.
 """
-FLICKERS = 30.0
-"""Changes per second to report: strides have four, and a sensor that misses one row in a hundred at
-500 Hz another ten.
+FLICKERS = 0.5
+"""Share of its time that a contact spends in states that do not last: bouncing feet have a quarter.
 """
 LASTING = 0.05
 """Shortest lasting state of a contact [s], a fifth of the shortest stance; contacts of a standing
 robot flicker for less.
-"""
-BOUNCES = 0.1
-"""Time for which a foot may bounce at touchdown or lift-off [s]; on ice, seven times within some
-rows.
 """
 MISSES, MOST_SURE = 0.7, 16
 """Share of the touchdowns and lifts of most feet below which a contact misses steps, and the least
@@ -60,16 +55,19 @@ def flickering(view: LogView) -> Iterator[Finding]:
     """Check that a foot does not touch down and lift off too often.
 
     Compares: contacts with themselves over time.
-    Threshold: {FLICKERS:g} changes a second.
-    Reason: four a second in strides; a sensor about its threshold has many.
+    Threshold: {FLICKERS:.0%} of its time in states of less than {LASTING:g} s.
+    Reason: a fifth of the shortest stance; feet bounce for less than a quarter of their time.
     Remedy: [contact] debounce, or a threshold that is further from the noise; `import` compares
         sources of contacts.
     """
     for i, contact in enumerate(view.log.contact.T):
-        rate = _changes(view.t, contact) / np.ptp(view.t)
-        if rate > FLICKERS:
+        start, lasts = _states(view.t, contact)
+        times = np.diff(view.t[[*start, -1]])
+        share = float(times[~lasts].sum() / times.sum())
+        if share > FLICKERS:
+            seen = f"{100 * share:.0f} % of its time in states of less than {LASTING:g} s"
             cause = "noise about the threshold: on, off and debounce of [contact]"
-            yield Finding(view.columns("contact", [i]), f"{rate:.0f} changes a second", cause)
+            yield Finding(view.columns("contact", [i]), seen, cause)
 
 
 @plausibility_rule("contacts", "contact")
@@ -141,16 +139,6 @@ def _moving_in_contact(view: LogView) -> np.ndarray:
     apart = np.linalg.norm(by_foot - np.nanmedian(by_foot, axis=1, keepdims=True), axis=2)
     share = np.sum(apart > MOVES_APART, axis=0) / np.maximum(some.contact.sum(axis=0), 1)
     return np.where(some.contact.sum(axis=0) < FEWEST_TIMES, np.nan, share)
-
-
-def _changes(t: np.ndarray, contact: np.ndarray) -> int:
-    """Number of changes of a contact (N,) at t; bounces at touchdown or lift-off count as one."""
-    start, lasts = _states(t, contact)
-    kept = np.flatnonzero(lasts)
-    between = np.diff(kept)  # changes from one lasting state to the next, odd if it is the other
-    took = t[start[kept[1:]]] - t[start[kept[:-1] + 1]]
-    bounces = (between % 2 == 1) & (took < BOUNCES)
-    return len(start) - 1 - int(np.sum(between[bounces] - 1))
 
 
 def _lasting(t: np.ndarray, contact: np.ndarray) -> int:

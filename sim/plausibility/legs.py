@@ -2,14 +2,13 @@
 delays.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
 
 import numpy as np
 
-from surefoot.sim.importing.advice import Changes
 from surefoot.sim.plausibility.finding import Finding, plausibility_rule
 from surefoot.sim.plausibility.limits import FEWEST, LATE, LATE_STREAM, LATEST_STREAM, MENDED
 from surefoot.sim.plausibility.loads import exchanged, leaning
@@ -23,10 +22,6 @@ clean simulated walks, 0.03 to 0.1 on a measured Go1. Below it nothing is report
 MENDED_JOINTS = 0.5
 """MENDED for signs and order of joints, with more alternatives: 2.2 times, but for hips of robots
 that walk straight ahead, 1.2 times, see LEANS.
-"""
-FAIR, AS_GOOD = 0.1, 3.0
-"""Largest misfit of a correct leg, and largest ratio of a corrected leg's misfit to that of the
-worst correct one; without correct legs, any correction is accepted.
 """
 CLEARER = 0.9
 """Improvement required over an alternative that exchanges fewer legs, which is tried first."""
@@ -117,10 +112,10 @@ def kinematics(view: LogView) -> Iterator[Finding]:
 
 def _late(view: LogView, legs: Stance) -> list[Finding]:
     """Find a delay of joints and contacts together relative to gyro and reference."""
-    (lag, *_), (share, *_) = _lags(partial(_with_earlier_motion, view, legs), LATEST_LEGS)
-    if abs(lag) < view.least_lag(2.0 * LATE) or not share < MENDED:
+    lag, share = _lags(partial(_with_earlier_motion, view, legs), LATEST_LEGS)
+    if abs(lag[0]) < view.least_lag(2.0 * LATE) or not share[0] < MENDED:
         return []
-    seen = f"move {abs(lag):.2f} s {'after' if lag > 0 else 'before'} the reference and the IMU"
+    seen = f"{_moved(lag[0])} relative to the reference and the IMU"
     return [Finding(("q", "contact"), seen, "another clock, or lost rows")]
 
 
@@ -133,22 +128,26 @@ def _late_parts(view: LogView, legs: Stance) -> list[Finding]:
         rows = np.searchsorted(view.t, view.at[legs.which] + seconds)
         return replace(legs, contact=view.log.contact[np.clip(rows, 0, len(view.t) - 1)])
 
-    (lag, *contact_lag), (share, *by_contact) = _lags(with_later_contacts, LATEST_STREAM)
-    earlier = partial(_with_earlier_motion, view, legs)
-    (_, *leg_lag), (_, *by_leg) = _lags(earlier, LATEST_STREAM)
-    least, found = view.least_lag(LATE_STREAM), []
-    if abs(lag) > least and share < MENDED:
-        cause = "a filter, or another clock" if lag > 0 else "early, or joints are late"
-        return [Finding(view.columns("contact"), _less(1.0 / share, _moved(lag)), cause)]
-    for i, leg in enumerate(view.log.legs):
-        if abs(contact_lag[i]) > least and by_contact[i] < min(by_leg[i], MENDED):
-            seen = _less(1.0 / by_contact[i], _moved(contact_lag[i]))
-            cause = f"{'late' if contact_lag[i] > 0 else 'early'}, unlike the other contacts"
+    contact, left = _lags(with_later_contacts, LATEST_STREAM)
+    motion, beside = _lags(partial(_with_earlier_motion, view, legs), LATEST_STREAM)
+    mends = (np.abs(contact) > view.least_lag(LATE_STREAM)) & (left < MENDED)
+    moves = (np.abs(motion) > view.least_lag(LATE_STREAM)) & (beside < MENDED)
+    if mends[0]:
+        cause = "a filter, or another clock of contacts or joints"
+        return [
+            Finding(view.columns("contact"), f"{_moved(contact[0])}: {_less(1.0 / left[0])}", cause)
+        ]
+    found = []
+    for i, leg in enumerate(view.log.legs, 1):
+        if mends[i] and left[i] < beside[i]:
+            seen, cause = (
+                f"{_moved(contact[i])}: {_less(1.0 / left[i])}",
+                "unlike the other contacts",
+            )
             found.append(Finding((f"contact_{leg}",), seen, cause))
-        elif abs(leg_lag[i]) > least and by_leg[i] < MENDED:
-            when = "after" if leg_lag[i] > 0 else "before"
-            seen = f"{leg} moves {abs(leg_lag[i]):.2f} s {when} the body"
-            found.append(Finding((f"q_{leg}", f"contact_{leg}"), seen, "a clock of its own"))
+        elif moves[i]:
+            seen, columns = f"{leg} {_moved(motion[i])}", (f"q_{leg}", f"contact_{leg}")
+            found.append(Finding(columns, seen, "a clock of its own"))
     return found if 2 * len(found) <= len(view.log.legs) else []
 
 
@@ -176,7 +175,7 @@ def _lags(lagging: Callable[[float], Stance], latest: float) -> tuple[np.ndarray
 
 
 def _moved(lag: float) -> str:
-    return f"if taken {abs(lag):.2f} s {'earlier' if lag > 0 else 'later'}"
+    return f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'}"
 
 
 def _less(gain: float, how: str = "if corrected") -> str:
@@ -223,16 +222,12 @@ def _swapped(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
     columns = tuple(f"{kind}{i}" for kind in swapped for i, _ in wrong)
     what = " and ".join({"q_": "joints", "contact_": "contacts"}[kind] for kind in swapped)
     cause = f"swapped legs ({what}): {', '.join(f'{i} is {j}' for i, j in wrong)}"
-    changes = _exchanged_contacts(view, wrong) if swapped == ("contact_",) else {}
+    changes = {}
+    if swapped == ("contact_",):
+        # Or of the forces by which these were detected.
+        kind = "force" if "contact from force" in view.log.meta.derived else "contact"
+        changes = {"columns": {f"{kind}_{i}": {"of": f"{kind}_{j}"} for i, j in wrong}}
     return base / left, [Finding(columns, _less(base / left), cause, changes)]
-
-
-def _exchanged_contacts(view: LogView, wrong: Sequence[tuple[str, str]]) -> Changes:
-    """The change of a map that gives each leg the contacts of another, or the forces by which these
-    were detected.
-    """
-    kind = "force" if "contact from force" in view.log.meta.derived else "contact"
-    return {"columns": {f"{kind}_{i}": {"of": f"{kind}_{j}"} for i, j in wrong}}
 
 
 def _read_otherwise(
@@ -274,11 +269,8 @@ def _misread(view: LogView, legs: Stance) -> tuple[float, list[Finding]]:
         left[way] = misfits(_read_otherwise(view, legs, chains[:, order], sign))[1:]
         leans[way] = leaning(view, legs, chains[:, order], sign)
     best, left = left.argmin(axis=0), left.min(axis=0)
-    good = base[base < FAIR]
-    as_good = AS_GOOD * max(float(good.max()), MISFIT) if good.size else np.inf
     upright = (leans[0] > LEANS) & (leans[best, np.arange(len(best))] < 0.5 * leans[0])
-    most = np.where(upright, CLEARER, MENDED_JOINTS) * base
-    mends = (best > 0) & (left < np.minimum(most, as_good))
+    mends = (best > 0) & (left < np.where(upright, CLEARER, MENDED_JOINTS) * base)
     findings = []
     for leg in np.flatnonzero(mends):
         order, sign = ways[best[leg]]
@@ -359,10 +351,9 @@ def _zeros(view: LogView, legs: Stance) -> list[Finding]:
     if not np.isfinite(every).all():
         return []
     left = every.min(axis=1) / base  # by joint of a leg, and leg
-    mended = (left < MENDED) & (base > MISFIT)
     columns, seen = [], []
     for k in np.argsort(np.median(left, axis=1)):
-        which = np.flatnonzero(mended[k])
+        which = np.flatnonzero((left[k] < MENDED) & (base > MISFIT))
         if 2 * len(which) > len(chains):
             columns += view.columns("q", chains[which, k])
             added = sorted({float(OFFSETS[every[k, :, i].argmin()]) for i in which})

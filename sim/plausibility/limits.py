@@ -15,8 +15,6 @@ MENDED = 0.6
 each wrong order of legs or contacts has at least 1.66 times as much as the right one; two swapped
 axes of a gyro leave 0.15 and 0.52 to 0.56 if corrected; a lever arm where there is none 0.86.
 """
-GAIN = 0.4
-"""Least excess over the correlation with its own axis; correlated axes have 0.4 with each other."""
 LATE, LATEST = 0.02, 2.0
 """Delay of a reference that is reported [s], at 1 m/s the body moves 2 cm in it, and clocks set by
 hand or network are worse (`trace` finds smaller ones as an effect); and the largest that is

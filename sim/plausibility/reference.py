@@ -88,18 +88,18 @@ def velocity(view: LogView) -> Iterator[Finding]:
     if rests or missed < SCALED * moves:
         return
     ratio = float(np.sqrt(max(size, 1e-18) / max(moves, 1e-12)))
-    if abs(np.log(ratio)) > np.log1p(SCALED):
-        cause, changes = in_another_unit("ref_v", REF_V, ratio, "scaled, or ref_p is")
-        yield Finding(REF_V, f"{ratio:.3g} times the change of positions", cause, changes)
-        return
     seen = f"{100 * missed / moves:.0f} % of its mean square is not the change of positions"
+    cause, changes = "another clock, another body, or a filter that lags", {}
     match = match_axes(logged, moved)
-    if np.sum((logged - view.v_I[view.ok]) ** 2) < 0.3 * missed:
-        yield Finding(REF_V, seen, "in the body's axes, not the world's")
+    if abs(np.log(ratio)) > np.log1p(SCALED):
+        seen = f"{ratio:.3g} times the change of positions"
+        cause, changes = in_another_unit("ref_v", REF_V, ratio, "scaled, or ref_p is")
+    elif np.sum((logged - view.v_I[view.ok]) ** 2) < 0.3 * missed:
+        cause = "in the body's axes, not the world's"
     elif match.wrong:
         yield match.finding("ref_v", "the change of positions")
-    else:
-        yield Finding(REF_V, seen, "another clock, another body, or a filter that lags")
+        return
+    yield Finding(REF_V, seen, cause, changes)
 
 
 @plausibility_rule("reference's point", "t accel gyro ref", when="trusts_reference")

@@ -41,13 +41,12 @@ RULES: tuple[Rule, ...] = (
     # Two readings of one quantity.
     clock.leaps, joints.rates, joints.commands, streams.spikes,
     attitude.attitude, reference.velocity, imu.gyro,
-    joints.driving, joints.followed, streams.coarse, streams.noisy,
+    loads.driven, loads.followed, streams.coarse, streams.noisy,
     # IMU, reference and legs together.
     imu.accelerometer, reference.point, reference.motion, imu.averaged,
-    imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.late_torques,
+    imu.turning_of_legs, reference.from_legs, legs.kinematics, loads.carrying,
     # Symptoms of several causes.
-    joints.stops, joints.zeros, streams.lagging, contacts.inverted, loads.torque_signs,
-    loads.weight_carried,
+    joints.stops, joints.zeros, streams.lagging, contacts.inverted,
 )  # fmt: skip
 _GROUPS = {"ref": "reference"}
 """Group of columns of a log by what a rule needs, where it has another name."""

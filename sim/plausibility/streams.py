@@ -140,21 +140,16 @@ def _comparable(view: LogView, joint: Columns) -> bool:
 
 
 def _contradict(t: np.ndarray, joint: Columns, rows: slice, kind: str) -> bool:
-    """Whether a joint's angle and rate (N,) at t [s] contradict each other in rows in which that of
-    a kind is constant: the rate shows motion while the angle is constant, or the angle moves at a
-    rate different from the constant one.
+    """Whether a joint's angle is not the sum of its rate (N,) at t [s] in rows in which that of a
+    kind is constant.
     """
-    t, q, dq = t[rows] - t[rows][0], joint["q"], joint["dq"]
-    steps = np.abs(np.diff(joint[kind]))
+    t, q, dq = t[rows], _median5(joint["q"])[rows], _median5(joint["dq"])
+    steps, long = np.abs(np.diff(joint[kind])), float(t[-1] - t[0])
     count = float(steps[steps > 0.0].min(initial=np.inf))
-    if kind == "dq":
-        strays = float(np.ptp(_median5(q)[rows] - dq[rows][0] * t))
-        return strays > max(RESTS, 3.0 * count * t[-1])
     # Rates of a joint at rest may have an offset, but a joint that moved has a mean, too.
-    rate = _median5(dq)
-    ways = ((rate - offset)[rows] * np.gradient(t) for offset in (0.0, rate.mean()))
-    turned = min(float(np.ptp(np.cumsum(one))) for one in ways)
-    return turned > max(RESTS, 3.0 * count) + _STRAY * float(t[-1])
+    turned = [np.cumsum((dq[rows] - offset) * np.gradient(t)) for offset in (0.0, dq.mean())]
+    strays = min(float(np.ptp(q - one)) for one in turned)
+    return strays > max(RESTS, 3.0 * count * (long if kind == "dq" else 1.0)) + _STRAY * long
 
 
 def _rests(t: np.ndarray, joint: Columns) -> bool:
@@ -240,39 +235,29 @@ def lagging(view: LogView) -> Iterator[Finding]:
     Reason: two samples; a filter's delay moves what filters and traces see.
     Remedy: nothing, if it is known: trace has rate_delay.
     """
-    log, t, cause = view.log, view.t, "a filter, or stamps of another clock"
+    log, t, pairs = view.log, view.t, []
     if log.has("q") and log.has("dq"):
-        moved = derivative(t, log.q, JOINT_WINDOW, causal=False)
+        moved, columns = derivative(t, log.q, JOINT_WINDOW, causal=False), view.columns("dq")
         usual = delay_between(t, log.dq, moved, LATEST_RATE)
-        if seen := _delay_seen(view, usual, log.dq, moved, LATE_RATE):
-            mended = {"even": {"late": {"dq": round(usual, 4)}}}
-            yield Finding(view.columns("dq"), f"{seen} q", cause, mended)
-        for j, column in enumerate(view.columns("dq")) if view.resolves else ():
-            rate, change = log.dq[:, [j]], moved[:, [j]]
-            delay = delay_between(t, rate, change, LATEST_RATE)
-            seen = _delay_seen(view, delay, rate, change, LATE_RATE)
-            if seen and abs(delay - usual) > LATE_RATE:
-                mended = {"even": {"late": {column: round(delay, 4)}}}
-                yield Finding((column,), f"{seen} {column[1:]}", cause, mended)
+        pairs.append((columns, log.dq, moved, usual, LATE_RATE, "q", "dq"))
+        for j, column in enumerate(columns) if view.resolves else ():
+            one = log.dq[:, [j]], moved[:, [j]]
+            delay = delay_between(t, *one, LATEST_RATE)
+            if abs(delay - usual) > LATE_RATE:
+                pairs.append(((column,), *one, delay, LATE_RATE, column[1:], column))
     if log.has("ref_v"):
         moved = derivative(t, log.ref_p, REFERENCE_WINDOW, causal=False)
         delay = delay_between(t, log.ref_v, moved, LATEST_REFERENCE)
         # A reference has a clock of its own, so that the map cannot move its velocity alone.
-        if seen := _delay_seen(view, delay, log.ref_v, moved, LATE):
-            yield Finding(REF_V, f"{seen} ref_p", cause)
-
-
-def _delay_seen(
-    view: LogView, delay: float, x: np.ndarray, witness: np.ndarray, least: float
-) -> str:
-    """The delay [s] of readings x (N, D) in words, "" where it is smaller than `least` or does not
-    explain how they differ from what they should be, the witness (N, D).
-    """
-    shifted = np.column_stack([np.interp(view.t + delay, view.t, y) for y in x.T])
-    explained = np.sum((shifted - witness) ** 2) < MENDED * np.sum((x - witness) ** 2)
-    if not explained or abs(delay) < view.least_lag(least):
-        return ""
-    return f"{1e3 * abs(delay):.1f} ms {'late' if delay > 0 else 'early'} against the change of"
+        pairs.append((REF_V, log.ref_v, moved, delay, LATE, "ref_p", ""))
+    for columns, x, moved, delay, least, of, key in pairs:
+        shifted = np.column_stack([np.interp(t + delay, t, y) for y in x.T])
+        explained = np.sum((shifted - moved) ** 2) < MENDED * np.sum((x - moved) ** 2)
+        if explained and abs(delay) >= view.least_lag(least):
+            when = "late" if delay > 0 else "early"
+            seen = f"{1e3 * abs(delay):.1f} ms {when} against the change of {of}"
+            mended = {"even": {"late": {key: round(delay, 4)}}} if key else {}
+            yield Finding(columns, seen, "a filter, or stamps of another clock", mended)
 
 
 @plausibility_rule("noise", beside="t gyro accel dq", when="comparable resolves")
@@ -292,15 +277,9 @@ def noisy(view: LogView) -> Iterator[Finding]:
     for kind, name, x in _each(view, "gyro", "accel", "dq"):
         # Third differences of white noise have 20 times its variance; the median ignores impacts.
         rough = np.median(np.abs(np.diff(x, n=3))) / 0.6745 / np.sqrt(20.0)
-        if rough > NOISE[kind] and (kind != "dq" or _resolved(view, name)):
+        if rough > NOISE[kind]:
             unit = next(iter(UNITS[kind]))
             yield Finding((name,), f"{rough:.2f} {unit} from row to row", cause)
-
-
-def _resolved(view: LogView, name: str) -> bool:
-    """Whether the rows are dense enough to show how a joint's rate changes."""
-    joint = {kind: x[:, None] for kind, x in _of_joint(view, "dq", name).items()}
-    return bool(np.isfinite(view.between_samples(joint["dq"], joint.get("q")))[0])
 
 
 @plausibility_rule("coarse", beside="gyro accel q", is_note=True)

@@ -81,6 +81,11 @@ class LogView:
         """Whether the machine is known and has no legs."""
         return self.machine is not None and self.machine.fixed
 
+    @property
+    def torque_is_measured(self) -> bool:
+        """Whether torques were not derived from something else."""
+        return not any(one.startswith("tau") for one in self.log.meta.derived)
+
     def columns(
         self, kind: str, which: np.ndarray | list[int] | list[np.intp] | slice = slice(None)
     ) -> tuple[str, ...]:

@@ -5,14 +5,7 @@ import pandas as pd
 import pytest
 from refusals import refused
 
-from surefoot.models.noise import (
-    _stance_noise,
-    allan_curve,
-    axis_noise,
-    encoder_noise,
-    rest_noise,
-    rest_of,
-)
+from surefoot.models.noise import allan_curve, axis_noise, rest_noise, rest_of
 from surefoot.scenarios.cli.main import main
 from surefoot.scenarios.estimate.settings import read_settings
 from surefoot.sim.log import Log, Meta
@@ -64,8 +57,6 @@ def resting_log(seconds=60.0):
         swing = moving * np.sin(12.0 * t + k)
         columns[f"gyro_{axis}"] = swing + readings(rng, seconds + 10.0, GYRO, GYRO / 5)
         columns[f"accel_{axis}"] = 9.81 * (k == 2) + 5 * swing + readings(rng, seconds + 10.0, 0.01)
-    for joint in ("a", "b"):
-        columns[f"q_{joint}"] = 0.3 * moving * np.sin(6.0 * t) + rng.normal(size=len(t)) * 1e-4
     return Log(pd.DataFrame(columns), Meta(rate=RATE), "resting")
 
 
@@ -77,32 +68,8 @@ def test_the_rest_is_found_and_its_noise():
     found = rest_noise(log)
     for one in found.gyro:
         assert one.white.value == pytest.approx(GYRO, rel=0.1)
-    assert found.encoder == pytest.approx(1e-4, rel=0.05)
     walking = log.rows(log.t < 4.5)
     refused("nowhere at rest", rest_noise, walking)
-
-
-def test_reading_noise_ignores_smooth_motion():
-    t = np.arange(4000) / 500.0
-    q = np.sin(8.0 * t)[:, None] + np.random.default_rng(4).normal(size=(4000, 1)) * 1e-3
-    assert encoder_noise(q) == pytest.approx(1e-3, rel=0.05)
-
-
-def test_noise_in_stance_is_of_the_joints_of_the_standing_leg():
-    """Three joints of one leg and one of the other, each noisier while its leg swings."""
-    rng, stands = np.random.default_rng(5), np.arange(4000) % 800 < 400
-    columns = {"t": np.arange(4000) / RATE, "contact_left": stands, "contact_right": ~stands}
-    for joint, load in (
-        ("left_hip", stands),
-        ("left_knee", stands),
-        ("right_hip", ~stands),
-        ("left_ankle", stands),
-        ("torso", stands),
-    ):
-        columns[f"q_{joint}"] = rng.normal(size=4000) * np.where(load, 1e-4, 1e-3)
-    found = _stance_noise(Log(pd.DataFrame(columns), Meta(rate=RATE), "biped"))
-    assert found[:4] == pytest.approx(1e-4, rel=0.1)
-    assert np.isnan(found[4])
 
 
 def test_the_command_writes_settings_that_filters_take(tmp_path, capsys):
