@@ -15,21 +15,18 @@ from dataclasses import dataclass
 from typing import TypeVar, get_args
 
 import numpy as np
-import pandas as pd
 
 from surefoot.estimator.evaluation.innovation_sums import COUNT, SUM, VARIANCE
 from surefoot.estimator.evaluation.trajectory import Trajectory, reference
-from surefoot.estimator.metrics import matched, relative_errors, segments
+from surefoot.estimator.metrics import segments
 from surefoot.scenarios.estimate.run import robot_of, run_filter
 from surefoot.sim.common.errors import SurefootError
-from surefoot.sim.common.series import interpolate_rows
 from surefoot.sim.effects.resampling import log_at
 from surefoot.sim.importing.advice import Changes
-from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads, foot_speeds
+from surefoot.sim.importing.contacts import contact_loads, contacts_from_loads
 from surefoot.sim.importing.sections import ContactTable, Quantity
 from surefoot.sim.log import Log
 from surefoot.sim.robot import Robot
-from surefoot.sim.sensors.stances import stances_between_swings
 
 T = TypeVar("T")
 
@@ -50,12 +47,8 @@ twentieth of a walk.
 """
 _DEBOUNCE = 0.02
 """Time that a load must last [s]: a tenth of the shortest stance, and longer than an impact."""
-_BLOCKS = 10
-"""Number of sections of a log over which the gain must exceed its spread."""
 _CLEAR = 1.5
 """Least ratio of the errors at which one source is better than another."""
-_STANDS = 0.2
-"""Speed of a foot over the ground below which it stands [m/s]; swinging ones have 1 and more."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +64,12 @@ class LogVariant:
 
 @dataclass(frozen=True)
 class TriedContacts:
-    """Contacts, the leg filter's estimate with them, and its mean squared error in each of _BLOCKS
-    sections (NaN where unknown).
+    """Contacts, and the leg filter's error with them: RPE [m] or, without a reference, the velocity
+    error [m/s] to be expected; infinite where it is unknown.
     """
 
     contacts: LogVariant
-    trajectory: Trajectory
-    squares: np.ndarray
-
-    @property
-    def error(self) -> float:
-        """Root mean square; infinite where it is known in no section."""
-        known = self.squares[np.isfinite(self.squares)]
-        return float(np.sqrt(known.mean())) if len(known) else np.inf
+    error: float
 
     @property
     def by_threshold(self) -> bool:
@@ -111,21 +97,13 @@ class ContactComparison:
     @property
     def better(self) -> LogVariant | None:
         """The `chosen` contacts, if the least error is clearly less than with those as logged."""
-        best, logged, advised = self.tried[0], self.logged, chosen(self.tried)
-        if best is logged or not np.isfinite(best.error):
-            return None
-        if logged is None or not np.isfinite(logged.error):
-            return advised.contacts
-        with np.errstate(divide="ignore", invalid="ignore"):
-            gains = 0.5 * np.log(logged.squares / best.squares)
-        gains = gains[np.isfinite(gains)]
-        clear = logged.error > _CLEAR * best.error and len(gains) > 2
-        doubt = 2.0 * gains.std(ddof=1) / np.sqrt(len(gains)) if clear else np.inf
-        return advised.contacts if gains.mean() > doubt else None
+        least, logged = self.tried[0].error, self.logged
+        clear = np.isfinite(least) and (logged is None or logged.error > _CLEAR * least)
+        return chosen(self.tried).contacts if clear else None
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """Errors by source, and what moves while it counts as standing."""
+    def line(self) -> str:
+        """Errors by source."""
         what, unit = (
             ("RPE over 1 m", "mm")
             if self.by_reference
@@ -138,20 +116,7 @@ class ContactComparison:
         )
         t = self.tried[0].contacts.log.t
         first = f"leg filter on the first {min(TRIED, t[-1] - t[0]):.0f} s: {what}"
-        return f"{first} {', '.join(each)}", *self._motion()
-
-    def _motion(self) -> Iterator[str]:
-        best = self.tried[0]
-        if self.logged is None or self.better is None:
-            return
-        log = self.logged.contacts.log
-        v_I = interpolate_rows(log.t, best.trajectory.t, best.trajectory.v_I)
-        with suppress(SurefootError):
-            begin, end = moving_in_contact(log.t, foot_speeds(log, v_I), log.contact)
-            yield (
-                f"feet still move for {1e3 * begin:.0f} ms after flags begin, and move "
-                f"already for {1e3 * end:.0f} ms before they end (median)"
-            )
+        return f"{first} {', '.join(each)}"
 
 
 def _milli(x: float) -> str:
@@ -172,27 +137,18 @@ def contact_lines(
         robot = robot_of(log)
     except SurefootError:  # its feet may be given
         robot = None
-    if only_better:
-        first = compare_contacts(log, robot, USUAL_SHARE)
-        if first is None or first.better is None:
-            return (), {}
-    found = compare_contacts(log, robot, progress=progress)
-    if found is None:
-        return (f"contacts: not compared: {_why_it_does_not_run(log, robot)}",), {}
-    changes, said = {} if found.better is None else found.better.changes, found.lines
-    if found.better is None:
-        said += ("none is clearly better than as logged",)
-    if "contact" in changes:
-        said += ("in the import map, [contact] replaces contacts of [columns]",)
-    return tuple(f"contacts: {line}" for line in said), changes
-
-
-def _why_it_does_not_run(log: Log, robot: Robot | None) -> str:
     try:
-        run_filter("leg", log, robot)
+        if only_better and compare_contacts(log, robot, USUAL_SHARE).better is None:
+            return (), {}
+        found = compare_contacts(log, robot, progress=progress)
     except SurefootError as error:
-        return str(error)
-    return "the log is too short"
+        return () if only_better else (f"contacts: not compared: {error}",), {}
+    changes, said = {} if found.better is None else found.better.changes, [found.line]
+    if found.better is None:
+        said.append("none is clearly better than as logged")
+    if "contact" in changes:
+        said.append("in the import map, [contact] replaces contacts of [columns]")
+    return tuple(f"contacts: {line}" for line in said), changes
 
 
 def rules_of(
@@ -237,8 +193,9 @@ def compare_contacts(
     robot: Robot | None,
     shares: Iterable[float] = SHARES,
     progress: Callable[[float], None] = lambda share: None,
-) -> ContactComparison | None:
-    """Run the leg filter with contacts from each source; None where there is nothing to compare.
+) -> ContactComparison:
+    """Run the leg filter with contacts from each source. Raises SurefootError, saying why, where it
+    runs with none.
 
     Args:
         log: with an IMU, and joint angles or positions of the feet; its first TRIED seconds count.
@@ -248,16 +205,19 @@ def compare_contacts(
     """
     log = log.rows(log.t <= log.t[0] + TRIED)
     by_reference = log.has("reference") and len(segments(reference(log).p_GI)[0]) > 0
+    faults: list[str] = []
 
     def tried(contacts: LogVariant) -> TriedContacts | None:
         try:
-            found = run_filter("leg", contacts.log, robot).trajectory
-        except SurefootError:
+            result = run_filter("leg", contacts.log, robot)
+        except SurefootError as error:
+            faults.append(str(error))
             return None
-        if found.diverged:
+        if result.trajectory.diverged:
             return None
-        times, squares = (_by_segments if by_reference else _by_windows)(contacts.log, found)
-        return TriedContacts(contacts, found, _in_blocks(log.t, times, squares))
+        if by_reference and result.metrics is not None:
+            return TriedContacts(contacts, result.metrics.rpe_trans)
+        return TriedContacts(contacts, _expected_error(result.trajectory))
 
     found = [tried(LogVariant(AS_LOGGED, {}, log))] if log.has("contact") else []
     every = [moved(log, ("contact",), sign) for sign in (1.0, -1.0)] if log.has("contact") else []
@@ -268,7 +228,9 @@ def compare_contacts(
             found.append(chosen(of_source))
     progress(1.0)
     ranked = sorted((one for one in found if one is not None), key=lambda one: one.error)
-    return ContactComparison(tuple(ranked), by_reference) if ranked else None
+    if not ranked:
+        raise SurefootError(faults[0] if faults else "the log is too short")
+    return ContactComparison(tuple(ranked), by_reference)
 
 
 def chosen(each: Sequence[TriedContacts]) -> TriedContacts:
@@ -297,44 +259,16 @@ def least(each: Iterable[T | None], cost: Callable[[T], float]) -> T | None:
     return next(reversed(falling(each, cost)), None)
 
 
-def _by_segments(log: Log, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Starts [s] and squared errors [m^2] of the segments of 1 m."""
-    true, estimate = matched(reference(log), found)
-    return true.t[segments(true.p_GI)[0]], relative_errors(true, estimate)[0] ** 2
-
-
-def _by_windows(log: Log, found: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Starts [s] of windows and the squared velocity errors [m^2/s^2] to be expected there."""
-    if found.innovations is None or found.covariance is None:
-        return np.zeros(0), np.zeros(0)
-    sums = found.innovations.sums
-    window, foot = np.nonzero(sums[..., COUNT] > 0.0)
-    sums = sums[window, foot]
-    ratio = np.mean(sums[:, SUM : SUM + 3] ** 2 / sums[:, VARIANCE : VARIANCE + 3], axis=1)
-    claimed = np.trace(found.covariance[:, 3:6, 3:6], axis1=1, axis2=2).mean()
-    return found.innovations.start[window], claimed * ratio
-
-
-def _in_blocks(t: np.ndarray, times: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Means (_BLOCKS,) of values at times over equal sections of t."""
-    edges = np.linspace(t[0], t[-1], _BLOCKS + 1)[1:-1]
-    means = pd.Series(squares).groupby(np.searchsorted(edges, times)).mean()
-    return means.reindex(range(_BLOCKS)).to_numpy()
-
-
-def moving_in_contact(t: np.ndarray, speed: np.ndarray, contact: np.ndarray) -> tuple[float, float]:
-    """Median times [s] that feet still move after contacts begin, and already before they end.
-
-    Args:
-        t: (N,) [s].
-        speed: of the feet over the ground (N, L) [m/s].
-        contact: (N, L), bool.
+def _expected_error(found: Trajectory) -> float:
+    """Velocity error [m/s] to be expected: that claimed, times the factor by which sums of
+    innovations exceed theirs; infinite without any.
     """
-    begins, ends = [], []
-    for stands, flagged in zip((speed < _STANDS).T, contact.T, strict=True):
-        for first, last in zip(*stances_between_swings(t, flagged), strict=True):
-            still = first + np.flatnonzero(stands[first:last])
-            if len(still):
-                begins.append(t[still[0]] - t[first])
-                ends.append(t[last - 1] - t[still[-1]])
-    return (float(np.median(begins)), float(np.median(ends))) if begins else (0.0, 0.0)
+    if found.innovations is None or found.covariance is None:
+        return np.inf
+    sums = found.innovations.sums
+    sums = sums[sums[..., COUNT] > 0.0]
+    if not len(sums):
+        return np.inf
+    ratio = np.mean(sums[:, SUM : SUM + 3] ** 2 / sums[:, VARIANCE : VARIANCE + 3])
+    claimed = np.trace(found.covariance[:, 3:6, 3:6], axis1=1, axis2=2).mean()
+    return float(np.sqrt(claimed * ratio))
