@@ -305,16 +305,10 @@ def _pictures(comparison: Comparison, kind: str = "png") -> list[Picture]:
         return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
-    drawn = {result.filter for result in shown}
-    large = ", ".join(r.filter for r in comparison.results if r.filter not in drawn)
-    hidden = {name: first for first, *others in _identical(shown) for name in others}
-    shown = [result for result in shown if result.filter not in hidden]
-    same = "".join(f" {name} is the same as {first}." for name, first in hidden.items())
-    same += f" Left out: {large}, whose errors would hide the others'." if large else ""
-    errors: dict[str, ErrorSeries] = {
-        r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
-    }
-    pictures = position_pictures(comparison.log, errors, kind, same)
+    errors = {r.filter: error_series(truth, r.trajectory, 20.0) for r in shown}
+    large = ", ".join(r.filter for r in comparison.results if r.filter not in errors)
+    left_out = f" Left out: {large}, whose errors would hide the others'." if large else ""
+    pictures = position_pictures(comparison.log, errors, kind, left_out)
     few = {name: errors[name] for name in shown_at_first(tuple(errors))}
     which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
     words = f"Errors of position, attitude and velocity, with three sigma.{which}"
@@ -324,7 +318,7 @@ def _pictures(comparison: Comparison, kind: str = "png") -> list[Picture]:
 
 
 def position_pictures(
-    log: Log, errors: Mapping[str, ErrorSeries], kind: str = "png", same: str = ""
+    log: Log, errors: Mapping[str, ErrorSeries], kind: str = "png", left_out: str = ""
 ) -> list[Picture]:
     """Paths, heights and position errors of estimates of a log.
 
@@ -332,23 +326,23 @@ def position_pictures(
         log: with a reference.
         errors: of the estimates, by name.
         kind: of the files.
-        same: sentences on estimates that are left out.
+        left_out: sentence on estimates that are not drawn.
     """
     files = f"figures/{log.name}"
     return [
         Picture(
             trajectories(log, errors),
-            f"The walk from above: reference and estimates, aligned at the start.{same}",
+            f"The walk from above: reference and estimates, aligned at the start.{left_out}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(
             height_figure(log, errors),
-            f"Height over time: without a sensor that measures it, it drifts.{same}",
+            f"Height over time: without a sensor that measures it, it drifts.{left_out}",
             f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
-            f"Position error, and the three sigma that each claims for itself.{same}",
+            f"Position error, and the three sigma that each claims for itself.{left_out}",
             f"{files}_position_error.{kind}",
         ),
     ]
