@@ -37,10 +37,6 @@ DELAYS = (0.01, 0.02, 0.04, 0.06)
 AS_LOGGED = "as logged"
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 """Thresholds that are tried, as shares of the way from swing to stance."""
-USUAL_SHARE = (0.7,)
-"""The threshold for a first look: on simulated trots of three robots, errors with it are within
-twice the least.
-"""
 _SWING, _STANCE = 0.05, 0.95
 """Quantiles of a leg's load that are taken for swing and stance: each lasts for more than a
 twentieth of a walk.
@@ -131,18 +127,18 @@ def contact_lines(
     Args:
         log: whose contacts are compared with those from other sources.
         progress: called with the share done, 0 to 1.
-        only_better: whether to say nothing unless a first look finds better ones.
+        only_better: whether to say nothing unless there are better ones.
     """
     try:
         robot = robot_of(log)
     except SurefootError:  # its feet may be given
         robot = None
     try:
-        if only_better and compare_contacts(log, robot, USUAL_SHARE).better is None:
-            return (), {}
-        found = compare_contacts(log, robot, progress=progress)
+        found = compare_contacts(log, robot, progress)
     except SurefootError as error:
         return () if only_better else (f"contacts: not compared: {error}",), {}
+    if only_better and found.better is None:
+        return (), {}
     changes, said = {} if found.better is None else found.better.changes, [found.line]
     if found.better is None:
         said.append("none is clearly better than as logged")
@@ -151,15 +147,13 @@ def contact_lines(
     return tuple(f"contacts: {line}" for line in said), changes
 
 
-def rules_of(
-    log: Log, robot: Robot | None, shares: Iterable[float] = SHARES
-) -> Iterator[Iterator[LogVariant]]:
+def rules_of(log: Log, robot: Robot | None) -> Iterator[Iterator[LogVariant]]:
     """Contacts of a log from each quantity that it has, by rising threshold: along it, the error of
     a filter falls and then rises.
     """
     for of in get_args(Quantity):
         with suppress(SurefootError):
-            yield _by_rule(log, of, contact_loads(log, of, robot), shares)
+            yield _by_rule(log, of, contact_loads(log, of, robot))
 
 
 def moved(log: Log, kinds: tuple[str, ...], sign: float) -> Iterator[LogVariant]:
@@ -173,12 +167,10 @@ def moved(log: Log, kinds: tuple[str, ...], sign: float) -> Iterator[LogVariant]
         yield LogVariant(f"{AS_LOGGED} but {1e3 * delay:.0f} ms {when}", changes, other)
 
 
-def _by_rule(
-    log: Log, of: Quantity, loads: dict[str, np.ndarray], shares: Iterable[float]
-) -> Iterator[LogVariant]:
+def _by_rule(log: Log, of: Quantity, loads: dict[str, np.ndarray]) -> Iterator[LogVariant]:
     """Contacts by one threshold for each leg, between its loads in swing and in stance."""
     sign = ContactTable(0.0, 0.0, of).sign
-    for share in shares:
+    for share in SHARES:
         levels = {}
         for leg, load in loads.items():
             swing, stance = np.quantile(load, (_SWING, _STANCE))
@@ -189,10 +181,7 @@ def _by_rule(
 
 
 def compare_contacts(
-    log: Log,
-    robot: Robot | None,
-    shares: Iterable[float] = SHARES,
-    progress: Callable[[float], None] = lambda share: None,
+    log: Log, robot: Robot | None, progress: Callable[[float], None] = lambda share: None
 ) -> ContactComparison:
     """Run the leg filter with contacts from each source. Raises SurefootError, saying why, where it
     runs with none.
@@ -200,7 +189,6 @@ def compare_contacts(
     Args:
         log: with an IMU, and joint angles or positions of the feet; its first TRIED seconds count.
         robot: of the log; None for one that has positions of the feet.
-        shares: thresholds to try.
         progress: called with the share done, 0 to 1.
     """
     log = log.rows(log.t <= log.t[0] + TRIED)
@@ -221,7 +209,7 @@ def compare_contacts(
 
     found = [tried(LogVariant(AS_LOGGED, {}, log))] if log.has("contact") else []
     every = [moved(log, ("contact",), sign) for sign in (1.0, -1.0)] if log.has("contact") else []
-    every += rules_of(log, robot, shares)
+    every += rules_of(log, robot)
     for k, source in enumerate(every):
         progress(k / len(every))
         if of_source := falling(map(tried, source), lambda one: one.error):

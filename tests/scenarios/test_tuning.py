@@ -129,16 +129,3 @@ def test_a_bad_file_is_one_line(tmp_path, old, new, said):
     path = tmp_path / "tuned.toml"
     path.write_text(BUNDLED_PARAMETERS.read_text().replace(old, new))
     refused(said, lambda: read_tuned(path)["v60_class"].of(estimator_named("leg")))
-
-
-def test_files_of_0_1_0_are_read(tmp_path):
-    path = tmp_path / "tuned.toml"
-    path.write_text(
-        '[default]\nreason = "by hand"\nmounting = 0\n'
-        "coverage_persistent = { accel = 0.03, gyro = 0.0003, lasting = 2 }\n"
-    )
-    found = read_tuned(path)["default"].of(estimator_named("coverage_persistent"))
-    assert found == {
-        **{"accel": 0.03, "gyro": 0.0003, "persistent": 2.0},
-        **{"accel_walk": 1e-4, "gyro_walk": 1e-5},  # not known in 0.1.0: the defaults
-    }
