@@ -384,9 +384,8 @@ def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
     """Lines on the filters that did not run, grouped by reason and logs."""
     logs: dict[tuple[str, str], list[str]] = {}
     for one in comparisons:
-        for name, why in one.left_out.items():
-            reason = why.removeprefix(f"{one.log.name}: ")
-            logs.setdefault((name, reason), []).append(one.log.name)
+        for left_out in one.left_out.items():
+            logs.setdefault(left_out, []).append(one.log.name)
     lines: dict[tuple[str, str], list[str]] = {}
     for (name, reason), names in logs.items():
         where = "every log" if 1 < len(names) == len(comparisons) else ", ".join(names)
