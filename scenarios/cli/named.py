@@ -30,7 +30,7 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
                     logs_in = ", ".join(sorted(log.name for log in one.glob("*.parquet"))[:8])
                     raise SurefootError(
                         f"{one}: is a folder where a log is expected; give one of its logs "
-                        f"({logs_in or 'it has none'})"
+                        f"({logs_in or 'no log is in it'})"
                     )
                 if option in _LOGS and is_file(one):
                     logs.append(one)
