@@ -43,9 +43,9 @@ LEARN = (
     "reference: surefoot train --from"
 )
 """What mends an observer on a walk that is unlike those of its training."""
-PATIENCE, AT_LEAST = 4.0, 20.0
-"""Largest time that is spent on trying, relative to that of a single run; and the time [s] that is
-always granted, in which all is tried with a filter whose stream runs over a log at once.
+PATIENCE = 30.0
+"""Time after which no further change is tried [s]; all are with a filter whose stream runs over a
+log at once.
 """
 
 
@@ -117,7 +117,7 @@ def advice(
         )
 
     first = log.rows(log.t <= log.t[0] + TRIED)
-    begun, until = perf_counter(), np.inf
+    until = np.inf
 
     def tried(words="", filter=name, log=first, settings=settings) -> Trial | None:
         if perf_counter() > until:
@@ -131,7 +131,7 @@ def advice(
     before = tried()
     if before is None:
         return ""
-    until = begun + max(AT_LEAST, PATIENCE * (perf_counter() - begun))
+    until = perf_counter() + PATIENCE
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
     mending = [one for one in _trials(before, contact, tried) if one and _mends(before, one)]
     best = min(mending, key=lambda one: one.cost, default=None)

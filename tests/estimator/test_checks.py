@@ -98,6 +98,15 @@ def test_lists_and_strided_arrays_give_the_numbers_of_plain_arrays():
     assert np.array_equal(made(strided, readonly, V_I, np.asfortranarray(COV)), plain)
 
 
+def test_a_covariance_stays_symmetric_to_the_last_bit():
+    f = InvariantFilter(NavState(), 0.01 * np.eye(15))
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        f.predict(GYRO + 0.1 * rng.standard_normal(3), ACCEL, 0.002)
+        f.update_velocity(V_I + 0.1 * rng.standard_normal(3), COV)
+    assert np.array_equal(f.covariance, f.covariance.T)
+
+
 @pytest.mark.parametrize(("rate", "stride"), [(100, 1), (400, 4), (500, 5), (50, 1)])
 def test_estimates_are_stored_at_100_hz_or_the_rate_of_the_log(rate, stride):
     t = np.arange(50) / rate

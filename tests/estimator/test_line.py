@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import quad
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.special import erf, log_ndtr, logsumexp
 
 from surefoot.estimator.box import _centre, _corner, box_moments
-from surefoot.estimator.moments.line import line_moments, plane_moments
+from surefoot.estimator.moments.line import (
+    DEPTH,
+    _fall,
+    _window,
+    line_moments,
+    plane_moments,
+)
+from surefoot.estimator.moments.parts import _corner as _other_zone
 from surefoot.estimator.moments.parts import outer_parts
 from surefoot.estimator.moments.quadrature import NODES, WEIGHTS, rule
 
@@ -74,6 +81,21 @@ def test_a_plane_bounded_along_its_second_axis_only(slope, low, high):
     x, y = x - c1, y - c2
     wanted = [(density * f).sum() for f in (1.0, x, y, x * x, x * y, y * y)]
     assert_allclose(out, wanted, rtol=1e-8)
+
+
+def test_a_window_ends_where_the_density_has_fallen_by_its_depth():
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        m1, m2, slope = rng.normal(size=3) * [3.0, 1.0, 2.0]
+        s1, s2, width = rng.uniform(0.1, 2.0, size=3)
+        l2 = rng.normal()
+        plane = m1, m2, s1, slope, s2, l2, l2 + width
+        best = minimize_scalar(
+            lambda x, plane=plane: _fall(x, *plane), (m1 - s1, m1 + s1), options={"xtol": 1e-12}
+        )
+        left, right = _window(*plane, best.x, 28.0)
+        assert left < best.x < right
+        assert_allclose([_fall(x, *plane) - best.fun for x in (left, right)], 28.0, rtol=1e-6)
 
 
 INF = np.inf
@@ -156,3 +178,23 @@ def test_no_part_is_coarser_than_the_integrand(C, low, high):
     for start, end, scale in zip(cuts, cuts[1:], scales, strict=False):
         inside = seen & (x[1:-1] > start + step) & (x[1:-1] < end - step)
         assert (bend[inside] * scale**2 <= 1.05).all()
+
+
+def test_a_part_begins_where_an_interval_is_first_left():
+    """Axis 1 alone has bounds: its conditional mean is as many deviations inside of them there as
+    the depth of the quadrature says."""
+    C, low, high = correlations(0.95, 0.0, 0.0), (-9.0, -4.0, -INF), (9.0, 5.0, INF)
+    cuts, _ = parts(C, np.array(low), np.array(high))
+    within = np.sqrt(2.0 * DEPTH * (1.0 - 0.95**2))
+    assert_allclose(np.sort(0.95 * cuts[1:-1]), np.sort([high[1] - within, low[1] + within]))
+
+
+def test_the_two_zones_of_a_corner_name_each_other():
+    """Axis j past its bound w with the other at its bound c, and that one past c with j at w."""
+    for j in range(2):
+        for bound in range(2):
+            for other in range(2):
+                one = 6 * j + 2 * (1 + other) + bound
+                two = 6 * (1 - j) + 2 * (1 + bound) + other
+                assert _other_zone(one) == two
+                assert _other_zone(two) == one
