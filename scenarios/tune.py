@@ -58,6 +58,8 @@ _LEGEND = (
 )
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)
 """Ranges to which APE as a share of the path, and NEES, are clipped."""
+EVALUATED = 120.0
+"""Part of each log, from its start, on which filters are evaluated [s]."""
 FIRST_FACTOR = 4.0
 """Factor of the first steps."""
 FINEST = 1.02
@@ -109,8 +111,6 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     out, filters = settings.out, settings.filters
     if settings.budget < 1:
         raise SurefootError(f"budget {settings.budget}: at least 1")
-    if not settings.longest > 0.0:
-        raise SurefootError(f"longest {settings.longest:g}: must be positive")
     for name in filters:
         check_filter(name)
     for name in ("tuned.toml", "tuned.md"):
@@ -158,7 +158,7 @@ def search_filter(
     walks, declared = [], []
     for path in paths:
         log = Log.read(path)
-        log = log.rows(log.t - log.t[0] <= settings.longest)
+        log = log.rows(log.t - log.t[0] <= EVALUATED)
         declared += declared_effects(log)
         walks.append(declared_model(log, Robot.for_log(log, settings.robot)))
     entry = tuned(walks[0][1])
@@ -196,7 +196,6 @@ def search_filter(
         "start": every,
         "mounting": entry.mounting,
         "budget": settings.budget,
-        "longest": settings.longest,
         "logs": [file_digest(path) for path in paths],
         "robots": [robot.digest for _, robot in walks],
         "effects": code_digest(*map(type, declared)),
