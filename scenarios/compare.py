@@ -11,7 +11,7 @@ import pandas as pd
 
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
+from surefoot.estimator.metrics import ONE_WALK, Metrics, path_length
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import (
     EmpiricalCoverage,
@@ -74,7 +74,6 @@ MEANINGS = {
     "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
 _LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
-_CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     marked = with_best_marked(found)
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in marked.columns]
-    bold = "\n\n".join(["The best values are in bold.", *left_out])
+    bold = "\n\n".join(["The least errors are in bold.", *left_out])
     return [
         Section("Filters compared", "\n\n".join(first), marked),
         Section("How to read the table", bold, glossary),
@@ -394,26 +393,15 @@ def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
 
 
 def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
-    """The table without empty columns, with the best values on each log in bold.
-
-    That is the least error and, among consistent filters, the NEES with the ratio nearest to 1 of
-    3.
-    """
+    """The table without empty columns, with the least errors on each log in bold."""
     marked = found.dropna(axis=1, how="all").astype(object)
     for _, rows in found.groupby("log", sort=False):
-        for column in _LEAST + _CONSISTENCY:
-            if column not in marked or len(rows[column].dropna()) < 2:
-                continue
-            values = rows[column].astype(float)
-            ranked = values
-            if column in _CONSISTENCY:
-                consistent = values[values.between(ONE_WALK[0], ONE_WALK[1])]
-                ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
-            if ranked.empty:
-                continue
-            best = cell(values[ranked.idxmin()])
-            for at in values.index[[cell(value) == best for value in values]]:
-                marked.at[at, column] = f"**{best}**"
+        for column in _LEAST:
+            if column in marked and len(rows[column].dropna()) > 1:
+                values = rows[column].astype(float)
+                best = cell(values.min())
+                for at in values.index[[cell(value) == best for value in values]]:
+                    marked.at[at, column] = f"**{best}**"
     return marked
 
 
