@@ -95,13 +95,6 @@ def speeds_beside_lowest(
     return np.linalg.norm(v_I - v_I[rows, lowest][:, None], axis=2)
 
 
-def foot_speeds(log: Log, v_I: np.ndarray) -> np.ndarray:
-    """Speed of each foot over the ground (N, L) [m/s], for a velocity of the IMU v_I (N, 3)."""
-    feet_I = log.foot_I if log.has("foot") else Robot.for_log(log).feet_I(log.q)
-    moves = _velocities_by_body(log.t, feet_I, log.gyro) + v_I[:, None]
-    return np.linalg.norm(moves, axis=2)
-
-
 def _velocities_by_body(t: np.ndarray, feet_I: np.ndarray, gyro: np.ndarray) -> np.ndarray:
     """Velocities (N, L, 3) [m/s] of feet over the ground, less that of the IMU, in I."""
     return derivative(t, feet_I, JOINT_WINDOW, causal=False) + np.cross(gyro[:, None], feet_I)
