@@ -11,7 +11,7 @@ import pandas as pd
 
 import surefoot
 from surefoot.estimator.evaluation.trajectory import reference
-from surefoot.estimator.metrics import CONSISTENT, ONE_WALK, Metrics, path_length
+from surefoot.estimator.metrics import ONE_WALK, Metrics, path_length
 from surefoot.models.calibration.bounds import Bounds
 from surefoot.models.calibration.empirical_coverage import (
     EmpiricalCoverage,
@@ -74,7 +74,6 @@ MEANINGS = {
     "step [us]": "computing time per IMU sample, observer and legs included (varies by machine)",
 }
 _LEAST = [name for name in METRICS if name.startswith(("APE", "RPE"))]
-_CONSISTENCY = [name for name in METRICS if name.startswith("NEES")]
 
 
 @dataclass(frozen=True)
@@ -266,7 +265,7 @@ def _summary_sections(comparisons: Sequence[Comparison], found: pd.DataFrame) ->
     glossary = [{"": name, "means": estimator_named(name).description} for name in ran]
     marked = with_best_marked(found)
     glossary += [{"": n, "means": text} for n, text in MEANINGS.items() if n in marked.columns]
-    bold = "\n\n".join(["The best values are in bold.", *left_out])
+    bold = "\n\n".join(["The least errors are in bold.", *left_out])
     return [
         Section("Filters compared", "\n\n".join(first), marked),
         Section("How to read the table", bold, glossary),
@@ -305,16 +304,10 @@ def _pictures(comparison: Comparison, kind: str = "png") -> list[Picture]:
         return []
     truth = reference(comparison.log)
     shown = [r for r in comparison.results if traits(r.filter).drawn] or comparison.results
-    drawn = {result.filter for result in shown}
-    large = ", ".join(r.filter for r in comparison.results if r.filter not in drawn)
-    hidden = {name: first for first, *others in _identical(shown) for name in others}
-    shown = [result for result in shown if result.filter not in hidden]
-    same = "".join(f" {name} is the same as {first}." for name, first in hidden.items())
-    same += f" Left out: {large}, whose errors would hide the others'." if large else ""
-    errors: dict[str, ErrorSeries] = {
-        r.filter: error_series(truth, r.trajectory, 20.0) for r in shown
-    }
-    pictures = position_pictures(comparison.log, errors, kind, same)
+    errors = {r.filter: error_series(truth, r.trajectory, 20.0) for r in shown}
+    large = ", ".join(r.filter for r in comparison.results if r.filter not in errors)
+    left_out = f" Left out: {large}, whose errors would hide the others'." if large else ""
+    pictures = position_pictures(comparison.log, errors, kind, left_out)
     few = {name: errors[name] for name in shown_at_first(tuple(errors))}
     which = "" if len(few) == len(errors) else f" Of {', '.join(few)}; --filters chooses others."
     words = f"Errors of position, attitude and velocity, with three sigma.{which}"
@@ -324,7 +317,7 @@ def _pictures(comparison: Comparison, kind: str = "png") -> list[Picture]:
 
 
 def position_pictures(
-    log: Log, errors: Mapping[str, ErrorSeries], kind: str = "png", same: str = ""
+    log: Log, errors: Mapping[str, ErrorSeries], kind: str = "png", left_out: str = ""
 ) -> list[Picture]:
     """Paths, heights and position errors of estimates of a log.
 
@@ -332,23 +325,23 @@ def position_pictures(
         log: with a reference.
         errors: of the estimates, by name.
         kind: of the files.
-        same: sentences on estimates that are left out.
+        left_out: sentence on estimates that are not drawn.
     """
     files = f"figures/{log.name}"
     return [
         Picture(
             trajectories(log, errors),
-            f"The walk from above: reference and estimates, aligned at the start.{same}",
+            f"The walk from above: reference and estimates, aligned at the start.{left_out}",
             f"{files}_trajectories.{kind}",
         ),
         Picture(
             height_figure(log, errors),
-            f"Height over time: without a sensor that measures it, it drifts.{same}",
+            f"Height over time: without a sensor that measures it, it drifts.{left_out}",
             f"{files}_height.{kind}",
         ),
         Picture(
             position_error(errors),
-            f"Position error, and the three sigma that each claims for itself.{same}",
+            f"Position error, and the three sigma that each claims for itself.{left_out}",
             f"{files}_position_error.{kind}",
         ),
     ]
@@ -390,9 +383,8 @@ def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
     """Lines on the filters that did not run, grouped by reason and logs."""
     logs: dict[tuple[str, str], list[str]] = {}
     for one in comparisons:
-        for name, why in one.left_out.items():
-            reason = why.removeprefix(f"{one.log.name}: ")
-            logs.setdefault((name, reason), []).append(one.log.name)
+        for left_out in one.left_out.items():
+            logs.setdefault(left_out, []).append(one.log.name)
     lines: dict[tuple[str, str], list[str]] = {}
     for (name, reason), names in logs.items():
         where = "every log" if 1 < len(names) == len(comparisons) else ", ".join(names)
@@ -401,26 +393,15 @@ def left_out_lines(comparisons: Sequence[Comparison]) -> list[str]:
 
 
 def with_best_marked(found: pd.DataFrame) -> pd.DataFrame:
-    """The table without empty columns, with the best values on each log in bold.
-
-    That is the least error and, among consistent filters, the NEES with the ratio nearest to 1 of
-    3.
-    """
+    """The table without empty columns, with the least errors on each log in bold."""
     marked = found.dropna(axis=1, how="all").astype(object)
     for _, rows in found.groupby("log", sort=False):
-        for column in _LEAST + _CONSISTENCY:
-            if column not in marked or len(rows[column].dropna()) < 2:
-                continue
-            values = rows[column].astype(float)
-            ranked = values
-            if column in _CONSISTENCY:
-                consistent = values[values.between(ONE_WALK[0], ONE_WALK[1])]
-                ranked = np.abs(np.log(np.maximum(consistent, 1e-12) / CONSISTENT))
-            if ranked.empty:
-                continue
-            best = cell(values[ranked.idxmin()])
-            for at in values.index[[cell(value) == best for value in values]]:
-                marked.at[at, column] = f"**{best}**"
+        for column in _LEAST:
+            if column in marked and len(rows[column].dropna()) > 1:
+                values = rows[column].astype(float)
+                best = cell(values.min())
+                for at in values.index[[cell(value) == best for value in values]]:
+                    marked.at[at, column] = f"**{best}**"
     return marked
 
 

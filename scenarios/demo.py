@@ -7,12 +7,8 @@ from time import perf_counter
 import numpy as np
 import pandas as pd
 
-from surefoot.models.calibration.bounds import Bounds
-from surefoot.models.calibration.empirical_coverage import coverage
-from surefoot.models.observer.observer import Observer
-from surefoot.models.observer.predict import judged, predict, prediction_errors
+from surefoot.models.observer.predict import prediction_errors
 from surefoot.models.observer.settings import TrainSettings
-from surefoot.models.registry import LOSSES
 from surefoot.scenarios.compare import compare_log, write_comparison
 from surefoot.scenarios.datasets.conditions import load_conditions
 from surefoot.scenarios.datasets.kept_walks import DrawnWalk
@@ -164,23 +160,7 @@ def _observer_sections(log: Log, learnt: Learnt) -> list[Section]:
         f"{LEARNING.walks} more at joint level {bounds.gamma:g}, with errors K steps of 10 ms "
         "apart. Bounds of the mse observer have one size; those of the gml observer are multiples "
         "of the standard deviations that it predicts.",
-        [_learnt_row(log, *learnt.bounded(loss)) for loss in LOSSES],
-        pictures,
+        pictures=pictures,
     )
     tested = observer.errors, prediction_errors(observer, log)[1]
     return [learning, error_section(*tested, bounds.epsilon, bounds.gamma, "the walk")]
-
-
-def _learnt_row(log: Log, observer: Observer, bounds: Bounds) -> dict[str, object]:
-    """An observer's errors on a walk, and how its bounds hold there."""
-    _, errors, covariance = judged(predict(observer, log), log)
-    rms = np.sqrt((errors**2).mean(axis=0))
-    held = coverage(bounds.relative(errors, observer.R_BI, covariance), bounds)
-    epsilon = np.broadcast_to(bounds.epsilon_at(observer.R_BI, covariance), errors.shape)
-    row: dict[str, object] = {"loss": observer.loss}
-    for i, axis in enumerate("xyz"):
-        row[f"RMSE {axis} [m/s]"] = rms[i]
-        row[f"median bound {axis} [m/s]"] = np.median(epsilon[:, i])
-    low, high = 100 * held.joint_interval
-    inside = f"{100 * held.joint:.1f} ({low:.0f}–{high:.0f})"
-    return row | {"inside [%]": inside, "K": bounds.K, "errors": bounds.n}

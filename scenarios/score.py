@@ -148,6 +148,6 @@ def _sections(log: Log, found: Sequence[Scored], table: pd.DataFrame, kind: str)
     marked = with_best_marked(table.assign(log=log.name)).drop(columns="log")
     return [
         Section("Errors, consistency and coverage", summary, marked, (*pictures, by_axis)),
-        Section("How to read the table", "The best values are in bold.", glossary),
+        Section("How to read the table", "The least errors are in bold.", glossary),
         made_by(),
     ]

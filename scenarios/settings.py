@@ -305,5 +305,3 @@ class TuneSettings(RobotSettings, WorkerSettings, ChosenFilters, OutputSettings)
     """Folder for tuned.toml, tuned.md (errors before and after) and finished searches."""
     budget: int = 16
     """Number of runs of each filter over all logs of a robot."""
-    longest: float = 120.0
-    """Part of each log, from its start, on which filters are evaluated [s]."""

@@ -15,7 +15,7 @@ smaller than those of new walks, nor those on which filters are compared.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -58,32 +58,22 @@ _LEGEND = (
 )
 SHARES, NEES = (1e-5, 1.0), (0.01, 1000.0)
 """Ranges to which APE as a share of the path, and NEES, are clipped."""
+EVALUATED = 120.0
+"""Part of each log, from its start, on which filters are evaluated [s]."""
 FIRST_FACTOR = 4.0
 """Factor of the first steps."""
 FINEST = 1.02
 """Factor at which a search ends."""
 
 
-@dataclass(frozen=True)
-class Search:
-    """First and best parameters of a search with their costs, and the number tried."""
-
-    start: dict[str, float]
-    start_price: float
-    best: dict[str, float]
-    price: float
-    runs: int
-
-
 def search(
     price: Callable[[Mapping[str, float]], float], start: Mapping[str, float], budget: int
-) -> Search:
-    """Minimise the cost within `budget` >= 1 evaluations, including `start`; all values
-    are > 0.
+) -> dict[str, float]:
+    """Parameters of the least cost found within `budget` >= 1 evaluations, including `start`; all
+    values are > 0.
     """
-    best = first = dict(start)
-    lowest = first_price = price(first)
-    tried, step = {_key(first)}, FIRST_FACTOR
+    best, lowest = dict(start), price(start)
+    tried, step = {_key(best)}, FIRST_FACTOR
     while len(tried) < budget and step > FINEST:
         improved = False
         for name in start:
@@ -97,8 +87,7 @@ def search(
                     break
         if not improved:
             step = np.sqrt(step)
-    rounded = {name: float(f"{value:.3g}") for name, value in best.items()}
-    return Search(first, first_price, rounded, lowest, len(tried))
+    return {name: float(f"{value:.3g}") for name, value in best.items()}
 
 
 def price_of(metrics: Metrics) -> float:
@@ -122,8 +111,6 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     out, filters = settings.out, settings.filters
     if settings.budget < 1:
         raise SurefootError(f"budget {settings.budget}: at least 1")
-    if not settings.longest > 0.0:
-        raise SurefootError(f"longest {settings.longest:g}: must be positive")
     for name in filters:
         check_filter(name)
     for name in ("tuned.toml", "tuned.md"):
@@ -150,7 +137,7 @@ def tune(paths: Sequence[Path], settings: TuneSettings, learnt: Learnt) -> str:
     for (known, name), result in found.items():
         before = entries.get(known, entries["default"])
         reason = f"surefoot tune, budget {settings.budget}, {len(of_robot[known])} logs"
-        own = before.filters | {name: result["search"]["best"]}
+        own = before.filters | {name: result["after"]["parameters"]}
         entries[known] = replace(before, filters=own, reason=reason)
     text = "\n\n".join(lines) + "\n"
     with whole_folder(out, settings.force) as folder:
@@ -164,14 +151,14 @@ def search_filter(
 ) -> dict[str, Any]:
     """One filter's search on one robot's logs, as a finished case.
 
-    `search`, and the percentage of the path and NEES on each log `before` and `after`; for a filter
-    that the logs or `learnt` do not allow: `left_out`, the reason.
+    `before` and `after`: parameters, cost, and on each log the error as a percentage of the path,
+    and NEES; for a filter that the logs or `learnt` do not allow: `left_out`, the reason.
     """
     estimator = estimator_named(name)
     walks, declared = [], []
     for path in paths:
         log = Log.read(path)
-        log = log.rows(log.t - log.t[0] <= settings.longest)
+        log = log.rows(log.t - log.t[0] <= EVALUATED)
         declared += declared_effects(log)
         walks.append(declared_model(log, Robot.for_log(log, settings.robot)))
     entry = tuned(walks[0][1])
@@ -188,14 +175,20 @@ def search_filter(
 
     def price(values: Parameters) -> float:
         try:
-            return float(np.mean([price_of(metrics) for metrics in judged(values)]))
+            return _mean_price(judged(values))
         except SurefootError:
             return PRICE * float(np.log(NEES[1] / 3.0))
 
+    def shown(values: Parameters) -> dict[str, Any]:
+        found = judged(values)
+        percent = [100.0 * metrics.ape_trans / metrics.length for metrics in found]
+        nees = [metrics.nees_position for metrics in found]
+        about = {"parameters": dict(values), "price": _mean_price(found)}
+        return about | {"percent": percent, "nees": nees}
+
     def make() -> dict[str, Any]:
-        before = _errors(judged(start))
-        result = search(price, start, settings.budget)
-        return {"search": asdict(result), "before": before, "after": _errors(judged(result.best))}
+        before = shown(start)
+        return {"before": before, "after": shown(search(price, start, settings.budget))}
 
     inputs = {
         "filter": name,
@@ -203,7 +196,6 @@ def search_filter(
         "start": every,
         "mounting": entry.mounting,
         "budget": settings.budget,
-        "longest": settings.longest,
         "logs": [file_digest(path) for path in paths],
         "robots": [robot.digest for _, robot in walks],
         "effects": code_digest(*map(type, declared)),
@@ -229,25 +221,19 @@ def write_tuned(path: Path, entries: Mapping[str, Tuned]) -> None:
     write_whole(path, "\n\n".join(blocks) + "\n")
 
 
-def _errors(judged: Sequence[Metrics]) -> dict[str, list[float]]:
-    """APE as a percentage of the path, and position NEES, on each log."""
-    return {
-        "percent": [100.0 * metrics.ape_trans / metrics.length for metrics in judged],
-        "nees": [metrics.nees_position for metrics in judged],
-    }
+def _mean_price(judged: Sequence[Metrics]) -> float:
+    return float(np.mean([price_of(metrics) for metrics in judged]))
 
 
 def _row(robot: str, name: str, result: Mapping[str, Any]) -> dict[str, str]:
-    found = result["search"]
     row = {"robot": robot, "filter": name}
-    sides = {"before": ("start", "start_price"), "after": ("best", "price")}
-    for when, (parameters, cost) in sides.items():
-        values, price, errors = found[parameters], found[cost], result[when]
+    for when, one in result.items():
+        values = one["parameters"].items()
         row |= {
-            f"parameters {when}": ", ".join(f"{key} {value:g}" for key, value in values.items()),
-            f"price {when}": f"{price:.2f}",
-            f"APE [%] {when}": f"{np.mean(errors['percent']):.3f}",
-            f"NEES_pos {when}": ", ".join(f"{value:.3g}" for value in errors["nees"]),
+            f"parameters {when}": ", ".join(f"{key} {value:g}" for key, value in values),
+            f"price {when}": f"{one['price']:.2f}",
+            f"APE [%] {when}": f"{np.mean(one['percent']):.3f}",
+            f"NEES_pos {when}": ", ".join(f"{value:.3g}" for value in one["nees"]),
         }
     return row
 

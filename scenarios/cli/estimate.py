@@ -40,13 +40,6 @@ def _labels(default: str) -> str:
     return "; ".join(f"{name}: {kind.label}" for name, kind in methods) + f". (default: {default})"
 
 
-def _walk_enough(gamma: str) -> str:
-    from surefoot.models.calibration.regions import walk_enough
-
-    seconds = walk_enough(float(gamma))
-    return f"{seconds:g} s of walk with a reference suffice at {gamma}. (default: {gamma})"
-
-
 Method = Annotated[options.one_of(CALIBRATORS), arg(help_behavior_hint=_labels)]
 
 
@@ -154,7 +147,6 @@ class Calibrate(
     """
     out: Path
     """File for the bounds (JSON)."""
-    gamma: Annotated[float, arg(help_behavior_hint=_walk_enough)] = 0.8
     method: Method = "conformal"  # pyright: ignore[reportInvalidTypeForm]
     report: Path | None = None
     """Folder for a report: decay of dependence, methods, and coverage on the walks of --on."""

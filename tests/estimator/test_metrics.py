@@ -36,14 +36,8 @@ def drifted(truth: Trajectory, rng: np.random.Generator) -> Trajectory:
     turn = Rotation.from_euler("Z", 0.7).as_matrix()
     wander = np.cumsum(rng.normal(size=(n, 3)), axis=0) * 2e-3
     R = Rotation.from_rotvec(np.cumsum(rng.normal(size=(n, 3)), axis=0) * 1e-3).as_matrix()
-    return Trajectory(
-        truth.t,
-        turn @ R @ truth.R_GI,
-        truth.v_GI @ turn.T,
-        (truth.p_GI + wander) @ turn.T + [3.0, -2.0, 1.0],
-        truth.b_a,
-        truth.b_g,
-    )
+    p_GI = (truth.p_GI + wander) @ turn.T + [3.0, -2.0, 1.0]
+    return replace(truth, R_GI=turn @ R @ truth.R_GI, v_GI=truth.v_GI @ turn.T, p_GI=p_GI)
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +111,8 @@ def test_alignment_removes_position_and_yaw_and_nothing_else(pair):
     truth, _ = pair
     for angles, remains in (((0.9, 0.0, 0.0), False), ((0.0, 0.0, 0.2), True)):
         T = Rotation.from_euler("ZYX", angles).as_matrix()
-        moved = Trajectory(
-            truth.t, T @ truth.R_GI, truth.v_GI @ T.T, truth.p_GI @ T.T + 5, truth.b_a, truth.b_g
+        moved = replace(
+            truth, R_GI=T @ truth.R_GI, v_GI=truth.v_GI @ T.T, p_GI=truth.p_GI @ T.T + 5
         )
         assert (evaluate(truth, moved).ape_trans > 0.01) == remains
 
@@ -126,7 +120,7 @@ def test_alignment_removes_position_and_yaw_and_nothing_else(pair):
 def test_pairs_are_chosen_on_the_reference(pair):
     """An estimate that shrinks the world is scored on the same segments as one that does not."""
     truth, _ = pair
-    shrunk = Trajectory(truth.t, truth.R_GI, truth.v_GI, 0.5 * truth.p_GI, truth.b_a, truth.b_g)
+    shrunk = replace(truth, p_GI=0.5 * truth.p_GI)
     assert evaluate(truth, shrunk).segments == evaluate(truth, truth).segments
     assert 0.4 < evaluate(truth, shrunk).rpe_trans < 0.6
 
@@ -179,15 +173,10 @@ def test_nees_is_3_for_errors_drawn_from_the_covariance():
     big = np.eye(15)
     big[:9, :9] = np.kron(np.eye(3), turn)
     big[6:9, :3] = lie.hat(np.array([4.0, 5.0, 6.0])) @ turn
-    estimate = Trajectory(
-        truth.t,
-        turn @ means[:, :3],
-        means[:, 3] @ turn.T,
-        means[:, 4] @ turn.T + [4.0, 5.0, 6.0],
-        means[:, 5],
-        means[:, 6],
-        np.tile(big @ covariance @ big.T, (n, 1, 1)),
-    )
+    R_GI, v_GI, p_GI = turn @ means[:, :3], means[:, 3] @ turn.T, means[:, 4] @ turn.T
+    moved = p_GI + np.array([4.0, 5.0, 6.0])
+    S = np.tile(big @ covariance @ big.T, (n, 1, 1))
+    estimate = Trajectory(truth.t, R_GI, v_GI, moved, means[:, 5], means[:, 6], S)
     result = evaluate(truth, estimate)
     for value in (result.nees_position, result.nees_velocity, result.nees_attitude):
         assert value == pytest.approx(3.0, abs=4 * np.sqrt(6 / n))
@@ -207,17 +196,12 @@ def test_share_of_active_updates(pair):
     truth, _ = pair
     pi = np.array([0.1, 0.9, 0.5, 0.7])
     updates = UpdateRecord(truth.t[:4], np.zeros((4, 3)), np.ones((4, 3)), pi, pi < 0.8)
-    estimate = Trajectory(
-        truth.t, truth.R_GI, truth.v_GI, truth.p_GI, truth.b_a, truth.b_g, None, updates
-    )
-    assert evaluate(truth, estimate).pi_below_gamma == 75.0
+    assert evaluate(truth, replace(truth, updates=updates)).pi_below_gamma == 75.0
 
 
 def test_nothing_in_common_is_one_clear_error(pair):
     truth, estimate = pair
-    later = Trajectory(
-        estimate.t + 0.005, estimate.R_GI, estimate.v_GI, estimate.p_GI, estimate.b_a, estimate.b_g
-    )
+    later = replace(estimate, t=estimate.t + 0.005)
     with pytest.raises(TrajectoryError, match="no two stamps in common"):
         evaluate(truth, later)
 

@@ -68,7 +68,6 @@ OPTIONS = [
     ("a search for no filter", "tune walk.parquet --filters legs -o new", "unknown filter 'legs'"),
     ("a search without a run", "tune walk.parquet -o new --budget 0", "budget 0: at least 1"),
     ("a search of a trillion runs", "tune walk.parquet -o new --budget 1000000000000", "--budget"),
-    ("a search over no time", "tune walk.parquet -o new --longest nan", "longest"),
     ("a cluster of another kind", "simulate scenario.toml --cluster ucx://1.2.3.4:1 -o new", "cluster"),
     ("rows in a file", "experiment experiment.toml -o new --data mine.txt", "--data"),
     ("a cache in a file", "experiment experiment.toml -o new --cache mine.txt", "--cache"),

@@ -208,7 +208,7 @@ def test_a_search_depends_on_robot_and_effects(boots, machine, tmp_path, monkeyp
     for change in (None, path, part):
         if change:
             edited(change)
-        settings = TuneSettings(tmp_path, robot=name, budget=1, longest=5.0)
+        settings = TuneSettings(tmp_path, robot=name, budget=1)
         tune.search_filter("leg", [tmp_path / "log.parquet"], settings, Learnt())
     assert asked[0] != asked[1] != asked[2] != asked[0]
 
