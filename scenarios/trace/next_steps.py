@@ -57,12 +57,14 @@ def next_steps(found: Trace, files: TraceSettings, robot: Machine) -> tuple[Step
             "Check clock and place of the reference", command("align", files.logs[0], out="aligned")
         )
         legs = not robot.fixed and any(not name.startswith("imu") for name in found.channels)
+        rejected = Step(f"See in {files.out / 'report.html'} what was rejected, and why")
         words = f"Check stamps{', signs and contacts' if legs else ' and signs'} of the log"
         check = next_command("info", files.logs[0], *(["--contacts"] if legs else []))
         return (
             Step(words, check),
             *([align] if filters else []),
             *use,
+            *([rejected] if found.rejected else []),
             Step("Write what remains as an effect of your own, see the guide 'Your own effect'"),
         )
     if found.verdict == "not_identifiable":

@@ -78,7 +78,7 @@ def sections(found: Trace) -> list[Section]:
     steps = "Names in capitals are of logs that you record."
     named = (
         "An effect is named from the size that noise and errors of the model hardly reach, if it "
-        "exceeds 2 standard deviations between blocks of the logs and between channels; see the "
+        "exceeds 2 standard deviations between blocks of the logs and no channel denies it; see the "
         "guide for all criteria."
     )
     levels = (
