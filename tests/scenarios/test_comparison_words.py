@@ -37,7 +37,7 @@ def test_the_summary_names_the_least_error_and_who_claims_too_much(metrics):
 
 
 def test_bounds_that_do_not_hold_are_said_to():
-    found = EmpiricalCoverage(np.full(3, 0.6), 0.28, np.array([0.09, 0.56]), 12)
+    found = EmpiricalCoverage(0.28, np.array([0.09, 0.56]), 12)
     assert "28 (9–56) %" in compare._not_held(found, 0.8)
     for low, high in ((0.09, 0.81), (0.804, 0.9)):  # the second is shown as 80–90
         assert compare._not_held(replace(found, joint_interval=np.array([low, high])), 0.8) == ""
