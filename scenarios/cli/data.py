@@ -179,8 +179,9 @@ class Info(settings.CheckedSettings, settings.ContactsSettings, options.JsonOpti
             return
         for path, log, lines in zip(self.logs, logs, about, strict=True):
             print(_summary(str(path), log))
+            robots = dict.fromkeys((log.meta.robot, self.robot))
             known = {
-                "robot": log.meta.robot,
+                "robot": ", checked as ".join(name for name in robots if name),
                 "effects": ", ".join(str(e["name"]) for e in log.meta.effects),
                 "derived": ", ".join(log.meta.derived),
             }
