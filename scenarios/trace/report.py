@@ -81,6 +81,12 @@ def sections(found: Trace) -> list[Section]:
         "exceeds 2 standard deviations between blocks of the logs and no channel denies it; the "
         "guide has all criteria."
     )
+    imitated = sorted(found.attribution.imitated) if found.attribution else []
+    unsure = [
+        f"{name} {target} may be what the other effects leave once they are compensated, which its "
+        "interval includes; it is kept since a channel is worse without it"
+        for name, target in imitated
+    ]
     levels = (
         f"Root mean square of means over {1e3 * found.averaged_over:.0f} ms, on {where}; turn-on "
         "biases of the IMU are subtracted."
@@ -103,7 +109,7 @@ def sections(found: Trace) -> list[Section]:
         _verdict(found, where),
         *([Section("What to do next", steps, steps=found.steps)] if found.steps else []),
         *_of_filters(found),
-        *_given("Effects found", [named], _sizes(found, found.found)),
+        *_given("Effects found", [named, *unsure], _sizes(found, found.found)),
         *_given("Residual of each channel", [levels], residuals),
         *_given("What the remaining residual correlates with", left),
         *_given("Notes", first),
