@@ -175,7 +175,9 @@ COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), G
 def found(one):
     case = case_with(one, course=COURSE)
     result = explained(case, noise_floor([case]))
-    return result, curved_angles(result, [case])
+    effects = [one.effect for one in result.found]
+    effects += [one for one, _ in (*result.dropped, *result.rejected)]
+    return result, curved_angles(result, [case], effects)
 
 
 @pytest.mark.long
