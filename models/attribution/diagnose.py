@@ -127,10 +127,11 @@ class Diagnosis:
 
     @property
     def rejected(self) -> tuple[tuple[Effect, str], ...]:
-        """Effects that were considered and are not found, and why."""
+        """Effects that were considered and are not found, and why last."""
         if self.attribution is None:
             return ()
-        return (*self.attribution.dropped, *self.attribution.rejected)
+        every = (*self.attribution.dropped, *self.attribution.rejected)
+        return tuple({(one.name, one.target): (one, why) for one, why in every}.values())
 
     @property
     def effects(self) -> tuple[Effect, ...]:
