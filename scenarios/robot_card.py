@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from surefoot.scenarios.reporting.palette import INK, OUTSIDE, TRUTH
 from surefoot.scenarios.reporting.plotting import new_figure, save_figure, set_title, show_to_scale
@@ -62,13 +63,15 @@ def _card_without_legs(machine: Modelled) -> RobotCard:
 def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
     fault = why_not(robot)
-    turned = not np.allclose(robot.R_BI, np.eye(3))
+    turned = Rotation.from_matrix(robot.R_BI).as_euler("xyz", degrees=True).round()
+    by = ", ".join(f"{angle + 0.0:g}" for angle in turned)
     imu = f"site {robot.imu}" if robot.imu else f"{_no_imu(model)}: the base frame stands for it"
     lines = [
         f"{robot.name}: {robot.mass:.2f} kg, legs of {robot.leg_length:.3f} m",
         f"file: {robot.file}",
         f"base: body '{robot.base_name}'",
-        f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base" + ", turned" * turned,
+        f"IMU: {imu}, at {_numbers(robot.p_BI)} m in the base"
+        + f", turned by roll, pitch, yaw of {by} deg" * bool(turned.any()),
         f"does not walk in simulation: {fault}" if fault else "walks in simulation",
     ]
     lines += read_model(robot.file)[1]
