@@ -287,25 +287,26 @@ class Chosen:
         sizes = self.metric.without_blocks(self.keys, self.precision)
         return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
 
-    @cached_property
-    def denied_by(self) -> tuple[str, ...]:
-        """For each effect, the channel that by itself surely shows less of it than SHOWN; "" if
-        none does. Times of contacts count for what delays them alone: whatever moves a foot also
-        moves these.
+    @property
+    def denied(self) -> tuple[Effect, str] | None:
+        """The effect of which a channel by itself surely shows the least, less than SHOWN of it,
+        and why; None if no channel does. Times of contacts count for what delays them alone:
+        whatever moves a foot also moves these.
         """
-        parts, denied = self.metric.alone, []
-        names = np.array([*parts])
+        parts, found = self.metric.alone, []
         S = np.array([one.products(self.table, self.X, self.keys) for one in parts.values()])
-        of_events = np.array([channels()[name].of_events for name in names])
-        for place, (key, size) in enumerate(zip(self.keys, self.sizes, strict=True), 1):
-            weights = np.maximum(S[:, place, place], 0.0)
-            tells = of_events == bool(event_channels(key))
-            tells &= np.sqrt(weights) * abs(size) > AGREES
-            doubts = AGREES / np.sqrt(weights[tells])
-            shown = 1.0 + (S[tells, place, 0] / weights[tells]) / size + doubts / abs(size)
-            least = int(np.argmin(shown)) if tells.any() else -1
-            denied.append(str(names[tells][least]) if least >= 0 and shown[least] < SHOWN else "")
-        return tuple(denied)
+        of_events = np.array([channels()[name].of_events for name in parts])
+        for place, one in enumerate(self.effects, 1):
+            weights, size = np.maximum(S[:, place, place], 0.0), abs(one.value)
+            tells = of_events == bool(event_channels((one.name, one.target)))
+            tells &= np.sqrt(weights) * size > AGREES
+            for k in np.flatnonzero(tells):
+                shown = 1.0 + S[k, place, 0] / weights[k] / one.value
+                found.append((shown + AGREES / np.sqrt(weights[k]) / size, one, [*parts][k]))
+        share, one, name = min(found, key=lambda each: each[0], default=(1.0, None, ""))
+        if one is None or share >= SHOWN:
+            return None
+        return one, f"{name} by itself shows less than half of it"
 
     @cached_property
     def least_misfit(self) -> float:
@@ -396,7 +397,7 @@ def explain(
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
     one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
     the others leave once they are compensated may imitate, unless a channel is worse without them
-    than that; and those that harm on bins that no fit has seen.
+    than that; and those that a channel denies, or that harm on bins that no fit has seen.
 
     Args:
         problem: the logs.
@@ -450,7 +451,7 @@ def explain(
         dropped += _without(chosen.effects, fewer, why)
         state, chosen = at_fewer, fewer
     while True:
-        if harm := harmful(state.metric, state.problem, chosen.effects):
+        if harm := chosen.denied or harmful(state.metric, state.problem, chosen.effects):
             dropped.append(harm)
             harmed = True
             better = [e for e in chosen.effects if e != harm[0]]
@@ -587,12 +588,11 @@ class _State:
         )
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
-        """As `earned`, of refined effects (k,), on whose sizes blocks and channels must agree."""
+        """As `earned`, of refined effects (k,), on whose sizes blocks must agree."""
         earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
         if not (earned > 0.0).any():
             return earned
         agreed = np.abs(chosen.sizes) > AGREES * chosen.between_blocks
-        agreed &= ~np.array([bool(name) for name in chosen.denied_by], bool)
         return np.where(agreed, earned, np.minimum(earned, -1.0))
 
 
@@ -810,12 +810,10 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     if not low < one.value < high:
         bound = low if one.value <= low else high
         return f"its size is at its bound of {bound:.2g} {one.unit}"
-    between, channel = chosen.between_blocks[place], chosen.denied_by[place]
+    between = chosen.between_blocks[place]
     if size <= AGREES * between:
         ratio = f"{size / between:.1f} of {AGREES:g} standard deviations"
         return f"blocks of the logs disagree on it: {ratio}"
-    if channel:
-        return f"{channel} by itself shows less than half of it"
     if gained <= 0.0:
         return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
     at = state.problem.at([chosen.keys[place]])
