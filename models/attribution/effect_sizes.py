@@ -19,7 +19,8 @@ class Found:
         interval: 95 % interval of its size.
         excess: its size in standard deviations by noise and the model's error.
         least: size from which it would have been named [its unit].
-        agreement: its size in standard deviations between blocks of the logs.
+        agreement: its size in standard deviations between blocks of the logs, or between
+            channels if these differ by more.
     """
 
     effect: Effect

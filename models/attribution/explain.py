@@ -58,12 +58,13 @@ least excess on one side: how runs differ is known from these runs alone.
 LEAST_EXCESS = 6.0
 """Least excess [standard deviations] where nothing but the noise of readings is known."""
 AGREES = 2.0
-"""Standard deviations between blocks of the logs that a size exceeds, so that no bad block makes an
-effect; and by which a channel tells it from none.
+"""Standard deviations between blocks of the logs, and between channels, that a size exceeds:
+neither a bad block nor a channel that another contradicts makes an effect.
 """
 SHOWN = 0.5
-"""Share of an effect that each channel which would tell it shows at least, within its noise: one
-that shows less is nearer to none of it.
+"""Share of an effect found that each channel which tells it from none shows at least, within its
+noise: one that shows less is nearer to none of it. Before all effects are found, what another does
+to a channel may deny a true one.
 """
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
@@ -286,6 +287,30 @@ class Chosen:
         """
         sizes = self.metric.without_blocks(self.keys, self.precision)
         return np.sqrt((len(sizes) - 1) * np.var(sizes, axis=0))
+
+    @cached_property
+    def between_channels(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) by how the channels that would show them differ,
+        each by itself. A channel that shows more denies nothing: it lacks something else as well.
+        Times of contacts count for what delays them alone: whatever moves a foot also moves these.
+        """
+        parts, between = self.metric.alone, []
+        S = np.array([one.products(self.table, self.X, self.keys) for one in parts.values()])
+        of_events = np.array([channels()[name].of_events for name in parts])
+        for place, (key, size) in enumerate(zip(self.keys, self.sizes, strict=True), 1):
+            weights = np.maximum(S[:, place, place], 0.0)
+            tells = of_events == bool(event_channels(key))
+            tells &= np.sqrt(weights) * abs(size) > AGREES
+            less = np.minimum(np.sign(size) * S[tells, place, 0] / weights[tells], 0.0)
+            between.append(deviation_of_mean(less, weights[tells]))
+        return np.array(between)
+
+    @property
+    def between(self) -> np.ndarray:
+        """Standard deviations of the sizes (k,) between blocks or channels, the larger."""
+        if not self.effects:
+            return np.zeros(0)
+        return np.maximum(self.between_blocks, self.between_channels)
 
     @property
     def denied(self) -> tuple[Effect, str] | None:
@@ -588,12 +613,26 @@ class _State:
         )
 
     def earned_by(self, chosen: Chosen) -> np.ndarray:
-        """As `earned`, of refined effects (k,), on whose sizes blocks must agree."""
+        """As `earned`, of refined effects (k,), on whose sizes blocks and channels must agree."""
         earned = self.earned(chosen.keys, chosen.sizes, chosen.deviations)
         if not (earned > 0.0).any():
             return earned
-        agreed = np.abs(chosen.sizes) > AGREES * chosen.between_blocks
+        agreed = np.abs(chosen.sizes) > AGREES * chosen.between
         return np.where(agreed, earned, np.minimum(earned, -1.0))
+
+
+def deviation_of_mean(values: np.ndarray, weights: np.ndarray) -> float:
+    """Standard deviation of the mean of values (n,) that differ by more than the noise that their
+    weights (n,), inverse variances, say: random effects (DerSimonian and Laird, Controlled Clinical
+    Trials 7, 1986). 0 of none.
+    """
+    if not len(values):
+        return 0.0
+    total = float(np.sum(weights))
+    Q = float(weights @ (values - weights @ values / total) ** 2)
+    free = total - float(weights @ weights) / total
+    between = (Q - (len(values) - 1)) / free if len(values) > 1 else 0.0
+    return float(np.sum(1.0 / (1.0 / weights + max(between, 0.0))) ** -0.5)
 
 
 def least_excess(error: ModelError) -> float:
@@ -810,10 +849,12 @@ def _why_not(state: _State, chosen: Chosen, place: int, gained: float) -> str:
     if not low < one.value < high:
         bound = low if one.value <= low else high
         return f"its size is at its bound of {bound:.2g} {one.unit}"
-    between = chosen.between_blocks[place]
-    if size <= AGREES * between:
-        ratio = f"{size / between:.1f} of {AGREES:g} standard deviations"
-        return f"blocks of the logs disagree on it: {ratio}"
+    for parts, between in (
+        ("the log's blocks", chosen.between_blocks[place]),
+        ("channels", chosen.between_channels[place]),
+    ):
+        if size <= AGREES * between:
+            return f"{parts} disagree on it: {size / between:.1f} of {AGREES:g} standard deviations"
     if gained <= 0.0:
         return f"its evidence is {-0.5 * gained:.1f} below its price, in units of ln(odds)"
     at = state.problem.at([chosen.keys[place]])
@@ -1024,7 +1065,7 @@ def _with_intervals(state: _State, chosen: Chosen, left: np.ndarray) -> tuple[Fo
             agreement=abs(one.value) / max(between, 1e-300),
         )
         for one, h, ratio, smallest, between in zip(
-            chosen.effects, half, excess, least, chosen.between_blocks, strict=True
+            chosen.effects, half, excess, least, chosen.between, strict=True
         )
     ]
     return tuple(sorted(found, key=lambda one: -one.excess))

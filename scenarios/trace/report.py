@@ -78,8 +78,8 @@ def sections(found: Trace) -> list[Section]:
     steps = "Names in capitals are of logs that you record."
     named = (
         "An effect is named from the size that noise and errors of the model hardly reach, if it "
-        "exceeds 2 standard deviations between blocks of the logs and no channel denies it; the "
-        "guide has all criteria."
+        "exceeds 2 standard deviations between blocks of the logs and between channels; the guide "
+        "has all criteria."
     )
     imitated = sorted(found.attribution.imitated) if found.attribution else []
     unsure = [

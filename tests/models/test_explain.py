@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from reference_columns import reference_columns
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
@@ -14,6 +16,7 @@ from surefoot.models.attribution.design import without_nuisance
 from surefoot.models.attribution.evidence import all_keys, linearise, log_under_model
 from surefoot.models.attribution.explain import (
     Chosen,
+    deviation_of_mean,
     explain,
     problem_of,
     zeros_beside,
@@ -310,3 +313,13 @@ def test_each_channel_tells_a_size_by_itself(floor):
     assert size["imu_gyro"] == pytest.approx(0.0, abs=1e-3)
     assert size["leg_velocity"] == pytest.approx(more, rel=0.2)
     assert size["stance_velocity"] == pytest.approx(more, rel=0.2)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6), st.floats(0.01, 100.0))
+def test_a_mean_is_as_unsure_as_its_values_differ(values, weight):
+    """Of equal weights w: the variance of the values by Bessel's formula over n, and 1 / (n w) at
+    least.
+    """
+    found, n = deviation_of_mean(np.array(values), np.full(len(values), weight)), len(values)
+    expected = 1.0 / weight if n == 1 else max(1.0 / weight, np.var(values, ddof=1))
+    assert found == pytest.approx(np.sqrt(expected / n), rel=1e-6)
