@@ -61,11 +61,6 @@ AGREES = 2.0
 """Standard deviations between blocks of the logs, and between channels, that a size exceeds:
 neither a bad block nor a channel that another contradicts makes an effect.
 """
-SHOWN = 0.5
-"""Share of an effect found that each channel which tells it from none shows at least, within its
-noise: one that shows less is nearer to none of it. Before all effects are found, what another does
-to a channel may deny a true one.
-"""
 TWIN_OVERLAP = 0.95
 """Cosine of two regressors from which they are nearly collinear."""
 SINGLES, PAIRS = 5, 1
@@ -312,27 +307,6 @@ class Chosen:
             return np.zeros(0)
         return np.maximum(self.between_blocks, self.between_channels)
 
-    @property
-    def denied(self) -> tuple[Effect, str] | None:
-        """The effect of which a channel by itself surely shows the least, less than SHOWN of it,
-        and why; None if no channel does. Times of contacts count for what delays them alone:
-        whatever moves a foot also moves these.
-        """
-        parts, found = self.metric.alone, []
-        S = np.array([one.products(self.table, self.X, self.keys) for one in parts.values()])
-        of_events = np.array([channels()[name].of_events for name in parts])
-        for place, one in enumerate(self.effects, 1):
-            weights, size = np.maximum(S[:, place, place], 0.0), abs(one.value)
-            tells = of_events == bool(event_channels((one.name, one.target)))
-            tells &= np.sqrt(weights) * size > AGREES
-            for k in np.flatnonzero(tells):
-                shown = 1.0 + S[k, place, 0] / weights[k] / one.value
-                found.append((shown + AGREES / np.sqrt(weights[k]) / size, one, [*parts][k]))
-        share, one, name = min(found, key=lambda each: each[0], default=(1.0, None, ""))
-        if one is None or share >= SHOWN:
-            return None
-        return one, f"{name} by itself shows less than half of it"
-
     @cached_property
     def least_misfit(self) -> float:
         """The misfit that they would leave without a prior, to first order."""
@@ -422,7 +396,7 @@ def explain(
     excess over its standard deviation. Effects that every machine has are chosen first. Whenever
     one is added, those that no longer earn theirs are dropped. Finally those are dropped that what
     the others leave once they are compensated may imitate, unless a channel is worse without them
-    than that; and those that a channel denies, or that harm on bins that no fit has seen.
+    than that; and those that harm on bins that no fit has seen.
 
     Args:
         problem: the logs.
@@ -476,7 +450,7 @@ def explain(
         dropped += _without(chosen.effects, fewer, why)
         state, chosen = at_fewer, fewer
     while True:
-        if harm := chosen.denied or harmful(state.metric, state.problem, chosen.effects):
+        if harm := harmful(state.metric, state.problem, chosen.effects):
             dropped.append(harm)
             harmed = True
             better = [e for e in chosen.effects if e != harm[0]]
