@@ -309,8 +309,7 @@ def diagnose(
         fitted, data = _held_out(unseen, effects, lags, floors.last, several)
         held_out = HeldOutRuns(data.sides.levels(data.used), fitted)
     progress(0.95)
-    of_search = [one.effect for one in result.found]
-    curves = curved_angles(result, problem.cases, of_search)
+    curves = curved_angles(result, problem.cases)
     verdict, reasons = verdict_of(
         Findings(
             found=found,
@@ -331,10 +330,6 @@ def diagnose(
     if verdict == "none_of_these":
         above = [name for name, c in channels.items() if not c.at_floor or c.worse]
         above.sort(key=lambda name: -channels[name].after / channels[name].highest)
-        if not curves:
-            # Of a curve, a channel may deny the effect that comes nearest.
-            tried = [one for one, _ in (*result.dropped, *result.rejected)]
-            curves = curved_angles(result, problem.cases, tried)
         unexplained = curves + sparse_regression(
             problem.cases, sides.after, sides.weights, above, split.fit, split.report
         )

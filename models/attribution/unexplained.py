@@ -65,20 +65,17 @@ class Unexplained:
     share: float
 
 
-def curved_angles(
-    result: Explanation, cases: Sequence[LogUnderModel], suspected: Sequence[Effect]
-) -> tuple[Unexplained, ...]:
-    """Joints at which a curve of the angle explains more than the effects found; the curve that
-    explains most comes first.
+def curved_angles(result: Explanation, cases: Sequence[LogUnderModel]) -> tuple[Unexplained, ...]:
+    """Joints with an effect at which a curve of the angle explains more; the curve that explains
+    most comes first.
 
     Args:
         result: of the search.
         cases: the logs, with their own zeros and clocks compensated.
-        suspected: effects at whose joints a curve is looked for.
     """
     found, limbs = [one.effect for one in result.found], result.metric.known.layout.limbs
     kind = dict(zip(limbs.joints, limbs.kind_of, strict=True))
-    at = [e.target for e in suspected if e.target in kind and "leg_velocity" in e.traced.channels]
+    at = [e.target for e in found if e.target in kind and "leg_velocity" in e.traced.channels]
     if not at or cases[0].fixed:
         return ()
     joints = [joint for joint in kind if kind[joint] in {kind[one] for one in at}]

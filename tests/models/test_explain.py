@@ -178,9 +178,7 @@ COURSE = Scenario("there", (Segment(10.0, 0.5, turn=0.3), Segment(10.0, 0.6)), G
 def found(one):
     case = case_with(one, course=COURSE)
     result = explained(case, noise_floor([case]))
-    effects = [one.effect for one in result.found]
-    effects += [one for one, _ in (*result.dropped, *result.rejected)]
-    return result, curved_angles(result, [case], effects)
+    return result, curved_angles(result, [case])
 
 
 @pytest.mark.long
