@@ -411,8 +411,6 @@ def explain(
     rounds: list[tuple[Candidate, ...]] = []
     rivals: tuple[tuple[Key, float], ...] = ()
     rejected: tuple[tuple[Effect, str], ...] = ()
-    dropped: list[tuple[Effect, str]] = []
-    harmed = False
     tried = {frozenset(chosen.keys)}
     once: dict[Key, Effect] = {}
 
@@ -443,19 +441,20 @@ def explain(
         state, chosen = anew
     at_fewer, fewer = _not_imitated(state, chosen, left)
     imitated = frozenset(chosen.keys) - frozenset(fewer.keys)
+    dropped: list[tuple[Effect, str]] = []
+    imitations: list[tuple[Effect, str]] = []
     if len(fewer.effects) < len(chosen.effects) and not needed(
         state.metric, state.problem, chosen.effects, fewer.effects
     ):
         why = "what the other effects leave once they are compensated may imitate it"
-        dropped += _without(chosen.effects, fewer, why)
+        imitations = _without(chosen.effects, fewer, why)
         state, chosen = at_fewer, fewer
     while True:
         if harm := harmful(state.metric, state.problem, chosen.effects):
             dropped.append(harm)
-            harmed = True
             better = [e for e in chosen.effects if e != harm[0]]
         else:
-            one, rivals = _replaced(state, chosen) if harmed else (None, rivals)
+            one, rivals = _replaced(state, chosen) if dropped else (None, rivals)
             if one is None or frozenset(one.keys) in tried:
                 break
             tried.add(frozenset(one.keys))
@@ -467,6 +466,7 @@ def explain(
         state, chosen = _settled(state, before, moved=ZERO_SETTLED)
         why = "the logs' own zeros explain it, once they are fitted closely"
         dropped += _without(before, chosen, why)
+    dropped += imitations
     known = {(e.name, e.target) for e, _ in (*dropped, *rejected)}
     others = [one for key, one in once.items() if key not in known]
     dropped += _without(others, chosen, "the other effects explain the logs as well without it")
