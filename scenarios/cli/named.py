@@ -13,6 +13,9 @@ from surefoot.sim.importing.map_catalog import map_file
 from surefoot.sim.robot.catalog import machine_file, robot_file
 from surefoot.sim.scenario_catalog import scenario_file
 
+MOST_NAMED = 8
+"""Largest number of logs that are named of a folder."""
+
 
 def refuse_unnamed(given: Mapping[str, Any]) -> None:
     """Raise SurefootError for a missing file or an unknown name.
@@ -27,10 +30,11 @@ def refuse_unnamed(given: Mapping[str, Any]) -> None:
             if isinstance(one, Path):
                 file_there(one)
                 if option in _LOGS and one.is_dir():
-                    logs_in = ", ".join(sorted(log.name for log in one.glob("*.parquet"))[:8])
+                    inside = sorted(log.name for log in one.glob("*.parquet"))
+                    first = ", ".join(inside[:MOST_NAMED]) + ", ..." * (len(inside) > MOST_NAMED)
                     raise SurefootError(
                         f"{one}: is a folder where a log is expected; give one of its logs "
-                        f"({logs_in or 'no log is in it'})"
+                        f"({first or 'no log is in it'})"
                     )
                 if option in _LOGS and is_file(one):
                     logs.append(one)
