@@ -21,6 +21,10 @@ _FEWEST_ROWS = 10
 """Least number of rows for a delay."""
 _TURNED = 0.1
 """Least share of a correlation before and after a sign changes."""
+_INVERTED = 0.5
+"""Scale, relative to the other columns', below which one of the opposite sign is a vibration that a
+filter inverts: a moving average passes 0.22 of it at most.
+"""
 _WITHOUT_WORD = {
     "accel": {"ft/s^2": 0.3048, "cm/s^2": 1e-2, "mm/s^2": 1e-3},
     "gyro": {"mrad/s": 1e-3, "turns/s": 2.0 * pi},
@@ -77,7 +81,7 @@ class AxesMatch:
         """
         turned, sure = self.exchanged | (self.sign < 0), self.best > LIKELY
         clearer = 1.0 - self.best**2 < MENDED * (1.0 - np.maximum(self.paired, 0.0) ** 2)
-        small = self.scale < 0.5 * np.median(self.scale[sure]) if sure.any() else ~sure
+        small = self.scale < _INVERTED * np.median(self.scale[sure]) if sure.any() else ~sure
         return tuple(np.flatnonzero(turned & sure & clearer & ~small).tolist())
 
     @property

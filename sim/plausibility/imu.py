@@ -62,6 +62,10 @@ SAME_SIZE = 1e-3
 """Least relative variation of the magnitude of a specific force; impacts reach several times
 gravity.
 """
+_IN_WORLD = 0.2
+"""Least excess of the correlation with accelerations in the world over that in the body [-]: half
+of what axes have in common with each other.
+"""
 _BLOCK = 2.0
 """Averaging time of a gyro's bias [s], four strides."""
 
@@ -146,7 +150,7 @@ def accelerometer(view: LogView) -> Iterator[Finding]:
         seen = f"{abs(lag):.2f} s {'late' if lag > 0 else 'early'} against the reference's motion"
         cause = "another clock, or a filter, of the accelerometer or of ref_p"
         yield Finding((*ACCEL, *REF_P), seen, cause)
-    elif as_world.min() > LIKELY and (as_world - in_body.paired[:2]).mean() > 0.2:
+    elif as_world.min() > LIKELY and (as_world - in_body.paired[:2]).mean() > _IN_WORLD:
         seen = f"correlation with the reference's accelerations in G {number_words(as_world)}"
         yield Finding(ACCEL, seen, "in the world's axes, not the body's")
     elif size < QUIET:
