@@ -63,7 +63,7 @@ def _card_without_legs(machine: Modelled) -> RobotCard:
 def _card(robot: Robot) -> RobotCard:
     model = compiled_model(robot.file)
     fault = why_not(robot)
-    turned = Rotation.from_matrix(robot.R_BI).as_euler("xyz", degrees=True).round()
+    turned = Rotation.from_matrix(robot.R_BI).as_euler("xyz", degrees=True).round(1)
     by = ", ".join(f"{angle + 0.0:g}" for angle in turned)
     imu = f"site {robot.imu}" if robot.imu else f"{_no_imu(model)}: the base frame stands for it"
     lines = [

@@ -22,9 +22,8 @@ def estimate_facts(log: Log, result: Result, learnt: Learnt) -> dict[str, Any]:
     """Metrics of an estimate, time per step, trustworthiness, and statistics of the velocities
     used.
 
-    The latter are mean error (3,), and share within the bounds. Bounds on
-    other quantities than a velocity, such as the mean of a window with a persistent part, are not
-    evaluated here.
+    The latter are the mean error (3,) and the share within the bounds. Bounds on other quantities
+    than a velocity, such as the mean of a window with a persistent part, are not evaluated here.
     """
     facts: dict[str, Any] = {"step_us": 1e6 * result.step_time}
     if result.metrics is not None:
